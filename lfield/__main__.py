@@ -5,7 +5,7 @@ exception during an import would print a traceback, or crash in a C module. Pyth
 `runpy`) is not covered.
 """
 
-# Not `signal`, which imports `enum`: that takes longer than this whole module.
+# `signal` is not used, because it imports `enum`, which takes longer than this whole module.
 import _signal  # type: ignore[import-not-found]
 import gc
 import sys
@@ -13,8 +13,8 @@ import sys
 
 def main() -> int:
     """Run the command line of this process; returns the exit status."""
-    # Modules are no garbage: the collector would scan them many times while they are imported. The command
-    # enables it.
+    # Modules are no garbage, and the collector would scan them many times during imports. The command enables
+    # it later.
     gc.disable()
     # The parent may have set SIGINT to be ignored, as a shell does for background jobs.
     is_default = _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler

@@ -1,9 +1,9 @@
-"""Connection racing (RFC 8305, "happy eyeballs"): connects to whichever address of a host answers first.
+"""Connection racing (RFC 8305, "happy eyeballs"): connects to the address of a host that answers first.
 
 The kernel repeats an unanswered attempt after 1, 2, 4 s ..., so reconnection after an outage can take
 seconds. A caller that needs it sooner repeats attempts in parallel: the longer an address is silent, the less
-often. After a short outage a link is back at once. A robot that is off costs the others little of a slow
-radio, and attempts do not fill a path that has become slow: each is two or three packets of 60 bytes.
+often. After a short outage a link is restored at once. Attempts at a robot that is off use little of a slow
+radio, and do not fill a path that has become slow: each attempt is two or three packets of 60 bytes.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import Any, Generic, TypeVar
 ATTEMPT_DELAY = 0.25
 #: The shortest lifetime of an attempt in seconds.
 ATTEMPT_TIMEOUT = 2.0
-#: Seconds between two attempts at first and at most, and the share of the silence that is the pause.
+#: Seconds between two attempts: the first and the longest interval; and the pause as a share of the silence.
 FIRST_PAUSE, LONGEST_PAUSE, SHARE = 0.5, 8.0, 1 / 30
-#: Seconds after an attempt after which its address counts as new: nothing is known of it meanwhile.
+#: Seconds after an attempt after which its address counts as new, because its state is unknown.
 FORGET_AFTER = 60.0
 
 #: An address family and a socket address.
@@ -32,7 +32,7 @@ Resolved = TypeVar("Resolved", bound=tuple[int, tuple[Any, ...]])
 class _Race(Generic[Resolved]):
     """Parallel attempts at several addresses, until one connects or all have failed.
 
-    Each address that has not failed is tried anew every `retry_pause` seconds, unless that is None.
+    Each address that has not failed is tried again every `retry_pause` seconds, unless this is None.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ async def first_connected(
     """A connected socket and its address; failed addresses are added to `failures`.
 
     An address that has not answered within `retry_pause` seconds is tried again in parallel, for paths that
-    may return at any moment. Raises the OSError of the last address when all have failed.
+    may work again at any moment. Raises the OSError of the last address when all have failed.
     """
     race = _Race(addresses, failures, retry_pause)
     try:
@@ -112,7 +112,9 @@ async def first_connected(
 
 
 async def _connect(family: int, address: tuple[Any, ...]) -> socket.socket:
-    """Connect one socket. Not by the loop's `sock_connect`, which loses the scope id of an IPv6 address."""
+    """Connect one socket. The loop's `sock_connect` is not used, because it loses the scope id of an IPv6
+    address.
+    """
     made = socket.socket(family, socket.SOCK_STREAM)
     try:
         made.setblocking(False)
@@ -150,7 +152,7 @@ def _close(task: asyncio.Task[socket.socket]) -> None:
 
 
 def retry_pause(silent: float) -> float:
-    """The pause after an attempt at an address that has been silent for so many seconds."""
+    """The pause after an attempt at an address that has been silent for `silent` seconds."""
     return min(LONGEST_PAUSE, max(FIRST_PAUSE, SHARE * silent))
 
 
@@ -158,11 +160,11 @@ class RetryPace:
     """The addresses of one transport that have not answered. Times are in seconds of one clock."""
 
     def __init__(self) -> None:
-        #: Since when each is silent, and when it was tried last.
+        #: The time since when each address is silent, and the time of its last attempt.
         self._silent: dict[str, tuple[float, float]] = {}
 
     def on_attempt(self, address: str, now: float) -> float:
-        """An attempt begins. Returns the pause until it is repeated."""
+        """An attempt begins. Returns the pause until its repetition."""
         since, last = self._silent.get(address, (now, now))
         if now - last > FORGET_AFTER:
             since = now
@@ -170,5 +172,5 @@ class RetryPace:
         return retry_pause(now - since)
 
     def on_answer(self, address: str) -> None:
-        """Something answers at the address."""
+        """An address has answered."""
         self._silent.pop(address, None)

@@ -1,7 +1,7 @@
 """The exceptions of lfield, one tree: each class has a stable `code`, and the exit status of a command.
 
 `lfield/docs/messages.md` lists the codes with their meaning and remedy; it is generated from this file. Data
-is kept in attributes; `str()` is one sentence: what is wrong, and what to do.
+is kept in attributes; `str()` is one sentence: the problem, and the remedy.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class ReportableFinding(Protocol):
 
 
 class LfieldError(Exception):
-    """A bug in lfield; also the root of the tree. `exit_status` is that of a command which it ends."""
+    """A bug in lfield; also the root of the tree. `exit_status` is the status of a command that it ends."""
 
     exit_status = exit_status.SOFTWARE
     code, remedy = "bug", "run again with LFIELD_TRACEBACK=1 and report what it prints"
@@ -84,8 +84,8 @@ class ProgramError(LfieldError):
 class BindingError(LfieldError):
     """A devices file is invalid; `problems` has a sentence for each mistake.
 
-    `findings` are those with a position in a file, in the order of the first `problems`. `cure` is a sentence
-    about what to do, or ''.
+    `findings` are the mistakes with a position in a file, in the order of the first `problems`. `cure` is a
+    sentence with the remedy, or ''.
     """
 
     exit_status = exit_status.DATA
@@ -100,7 +100,7 @@ class BindingError(LfieldError):
 class DevicesError(BindingError):
     """The bindings are valid, and devices cannot be opened: no library, port or answer.
 
-    `not_set_up` are those of the `problems` that `lfield setup` solves.
+    `not_set_up` are the `problems` that `lfield setup` solves.
     """
 
     exit_status = exit_status.UNAVAILABLE
@@ -202,7 +202,7 @@ class DamagedFileError(InputFileError):
 class MissionFileError(InputFileError):
     """A mission, area or parameter file is invalid: `file`, `reason`, and the item it is about.
 
-    `item` is the item's number as ground stations show it, None for the file as a whole; `where` names
+    `item` is the item's number as shown by ground stations, None for the file as a whole; `where` names
     another place, such as `line 3`.
     """
 
@@ -228,7 +228,7 @@ class OutputFileError(LfieldError):
 
 
 class JournalError(LfieldError):
-    """A journal cannot be opened or written: `path`, `reason`, and `advice` on what to do."""
+    """A journal cannot be opened or written: `path`, `reason`, and `advice` on the remedy."""
 
     exit_status = exit_status.NO_OUTPUT
     code, remedy = "journal", "check the disk; `lfield inspect JOURNAL` prints what can be read"
@@ -288,7 +288,7 @@ class HandshakeError(LfieldError):
 class CpuBudgetExceeded(WireError):
     """The messages of a member of the team take more processing time than its budget.
 
-    `share` is its part of one processor; `closes` says that its link is closed after `seconds` over budget.
+    `share` is its part of one processor; `closes`: its link is closed after `seconds` over budget.
     """
 
     code, remedy = "cpu-budget", "find out why that host sends so much; restart it"
@@ -338,14 +338,14 @@ class ZenohUnreachable(AddressError):
 
 
 class MissionTestError(LfieldError):
-    """A mission test asks for something that does not exist, or does something that a test must not do."""
+    """A mission test uses an object that does not exist, or an action that a test must not use."""
 
     exit_status = exit_status.USAGE
     code, remedy = "mission-test", "correct the test"
 
 
 class Stuck(MissionTestError):
-    """A mission test waits for something that cannot happen; `standing` has the position of every agent."""
+    """A mission test waits for an event that cannot occur; `standing` has the position of every agent."""
 
     code, remedy = "mission-test-stuck", "correct the program or the test"
 
@@ -382,7 +382,7 @@ class NoMissionRunning(LfieldError):
 
 
 class PortalCallError(LfieldError):
-    """A portal call of a person has not returned: `portal` is AGENT.PORTAL, `reason` why.
+    """A portal call of a person has not returned: `portal` is AGENT.PORTAL, `reason` the reason.
 
     `kind` is the exception of L that it has thrown, or the code of the reason.
     """
@@ -412,7 +412,7 @@ class PortalFailed(PortalCallError):
 
 
 class CallOutcomeUnknown(PortalCallError):
-    """It is not known whether a portal was executed: its host has stopped or restarted, or is unreachable."""
+    """A portal may have been executed: its host has stopped or restarted, or is unreachable."""
 
     exit_status = exit_status.UNKNOWN_OUTCOME
     code, remedy = "portal-call-unknown", "check the state of the resource before calling again"
@@ -435,7 +435,7 @@ class HostFailure(LfieldError):
         if isinstance(cause, MemoryError):
             self.reason = "out of memory; its devices go to their safe states"
         else:
-            import traceback  # seldom needed, and every command starts faster without it
+            import traceback  # rarely needed, and every command starts faster without it
 
             frames = traceback.extract_tb(cause.__traceback__)
             where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
@@ -466,7 +466,7 @@ class PluginError(LfieldError):
 class DeviceError(PluginError):
     """A device refused a command, failed, or went away.
 
-    `device` is its name in L (`fc`), `kind` the L exception it becomes (`DeviceException`,
+    `device` is its name in L (`fc`), `kind` the L exception that it becomes (`DeviceException`,
     `DeviceTimeoutException` or `CancelledException`), `reason` the device's own words.
     """
 
@@ -484,7 +484,7 @@ class DeviceNotSetUp(DeviceError):
 
 
 class ProvisionError(LfieldError):
-    """A robot cannot be provisioned: `host` (empty: none of them), `reason`, and `advice` on what to do."""
+    """A robot cannot be provisioned: `host` (empty: none of them), `reason`, and `advice` on the remedy."""
 
     exit_status = exit_status.UNAVAILABLE
     code, remedy = "provision", "follow the advice in the message, and run `lfield provision` again"

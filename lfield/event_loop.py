@@ -37,7 +37,7 @@ def report_exception(error: BaseException) -> None:
 
 
 def has_spare_descriptors(count: int) -> bool:
-    """Whether this process can open that many more files or sockets."""
+    """Whether this process can open `count` more files or sockets."""
     held: list[int] = []
     try:
         while len(held) < count:
@@ -52,8 +52,8 @@ def has_spare_descriptors(count: int) -> bool:
 
 async def start_process(protocol: asyncio.SubprocessProtocol, *command: str) -> None:
     """Start a process in its own session, with pipes for stdin and stdout. Raises OSError."""
-    # Its own session: only the starting process gets Ctrl-C. Checked first: uvloop leaks descriptors on
-    # EMFILE.
+    # The process has its own session, so that only the starting process gets Ctrl-C. Descriptors are checked
+    # first, because uvloop leaks them on EMFILE.
     if not has_spare_descriptors(_DESCRIPTORS_PER_PROCESS):
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
     await asyncio.get_running_loop().subprocess_exec(
@@ -64,8 +64,9 @@ async def start_process(protocol: asyncio.SubprocessProtocol, *command: str) -> 
 async def start_child(
     *command: str, stdin: int | BinaryIO = DEVNULL, stdout: int = PIPE, env: Mapping[str, str] | None = None
 ) -> Process:
-    """Start a process in its own session. A cancellation meanwhile kills it. Raises OSError."""
-    # Shielded: uvloop loses a process whose start is cancelled, and the process continues.
+    """Start a process in its own session. A cancellation during the start kills it. Raises OSError."""
+    # The start is shielded, because uvloop loses a process whose start is cancelled, and the process
+    # continues.
     starting = asyncio.create_task(
         asyncio.create_subprocess_exec(
             *command, stdin=stdin, stdout=stdout, stderr=PIPE, env=env, start_new_session=True
@@ -83,7 +84,7 @@ async def start_child(
 async def run_process(
     *command: str, stdin: int | BinaryIO = DEVNULL, stdout: int = PIPE, env: Mapping[str, str] | None = None
 ) -> tuple[int, bytes, bytes]:
-    """Run a process: its exit status, output and errors. A cancellation kills it. Raises OSError."""
+    """Run a process; returns its exit status, output and errors. A cancellation kills it. Raises OSError."""
     process = await start_child(*command, stdin=stdin, stdout=stdout, env=env)
     try:
         output, errors = await process.communicate()
@@ -97,8 +98,8 @@ async def run_process(
 def kill(process: asyncio.SubprocessTransport) -> None:
     """Kill a process that has not ended.
 
-    Not through the loop's transport, which would reap a process that has just ended without the loop's
-    knowledge.
+    The loop's transport is not used, because it would reap a process that has just ended before the loop is
+    informed.
     """
     if process.get_returncode() is not None:
         return
@@ -213,9 +214,9 @@ def _ended(task: asyncio.Task[None]) -> None:
 def raise_timer_priority() -> None:
     """Give this thread real-time priority, so that its timers are on time on a busy computer.
 
-    For the guard, and for simulated devices, which stand for dedicated hardware. Needs CAP_SYS_NICE or
-    LimitRTPRIO=1 in the service's unit. Other threads do not inherit it, so that one that spins cannot starve
-    the computer.
+    The callers are the guard, and simulated devices, which represent dedicated hardware. The call needs
+    CAP_SYS_NICE or LimitRTPRIO=1 in the service's unit. Other threads do not inherit the priority, so that a
+    thread in an endless loop cannot block the computer.
     """
     policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
     with contextlib.suppress(PermissionError):
@@ -226,7 +227,7 @@ def raise_timer_priority() -> None:
 
 
 def may_raise_timer_priority() -> bool:
-    """Whether the system permits real-time priority. Root in a container often lacks it."""
+    """Whether the system permits real-time priority. Root in a container often does not have it."""
     soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     effective = next((line for line in status.splitlines() if line.startswith("CapEff:")), "CapEff: 0")

@@ -1,42 +1,42 @@
-"""Exit statuses of commands: those of missions, and the numbers of sysexits.h for all others.
+"""Exit statuses of commands: the statuses of missions, and the numbers of sysexits.h for all others.
 
-The statuses of each command are in `lfield/docs/exit-statuses.md`; exceptions carry theirs (errors.py). Of
-several hosts the most severe status counts, so that a script can distinguish a vehicle in the air from a
-failed mission.
+The statuses of each command are in `lfield/docs/exit-statuses.md`; exceptions contain their statuses
+(errors.py). Of several hosts the most severe status counts, so that a script can distinguish a vehicle in the
+air from a failed mission.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-#: All is well; of a mission: every coordinator has ended as its program wanted.
+#: Success; for a mission: every coordinator has ended as intended by its program.
 DONE = 0
-#: A coordinator died, was stopped before its end, or is lost for certain; a check of `kit` failed.
+#: A coordinator died, was stopped before its end, or is certainly lost; a check of `kit` failed.
 FAILED = 1
 #: A device is not confirmed at rest in its safe state: a person must check it at once.
 UNSAFE = 3
 #: Another host was unreachable for too long: the state of the mission there is unknown.
 UNKNOWN_OUTCOME = 4
-#: The command line makes no sense.
+#: The command line is invalid.
 USAGE = 64
 #: An invalid file: program, deployment, bundle, devices file, registry, dump, journal, key or mission file.
 DATA = 65
 #: A file cannot be read.
 NO_INPUT = 66
-#: A port, address, driver, device, host or mission that is needed is not there, or is in use.
+#: A port, address, driver, device, host or mission that is needed is missing, or is in use.
 UNAVAILABLE = 69
 #: A bug in lfield.
 SOFTWARE = 70
 #: A file cannot be written.
 NO_OUTPUT = 73
-#: What is printed finds no reader, or no room.
+#: The output has no reader, or no space.
 INPUT_OUTPUT = 74
-#: A peer breaks the protocol between hosts, or is none of the team.
+#: A peer violates the protocol between hosts, or is not a member of the team.
 PROTOCOL = 76
 #: Interrupted by the user.
 INTERRUPTED = 130
 
-#: For people, in the order of the numbers.
+#: The texts for people, in the order of the numbers.
 MEANINGS: Mapping[int, str] = {
     DONE: "success",
     FAILED: "the mission failed: a coordinator died or is lost; `kit`: a check failed; "
@@ -54,12 +54,12 @@ MEANINGS: Mapping[int, str] = {
     INTERRUPTED: "interrupted",
 }
 
-#: From the least to the most severe; other statuses count between FAILED and UNKNOWN_OUTCOME.
+#: The statuses from the least to the most severe; other statuses count between FAILED and UNKNOWN_OUTCOME.
 _SEVERITY = (DONE, INTERRUPTED, FAILED, None, UNKNOWN_OUTCOME, UNSAFE)
 
 
 def most_severe(statuses: Iterable[int]) -> int:
-    """The most severe of several statuses, of equal ones the first; DONE for none."""
+    """The most severe of several statuses; the first of equally severe ones; DONE for none."""
     return max(statuses, key=_severity, default=DONE)
 
 

@@ -3,7 +3,7 @@
 A timestamp is an integer: milliseconds since 1970 in the upper bits, a counter in the lower 16. It is at
 least the wall-clock time of its host, and greater than every earlier timestamp of this host and than every
 timestamp that this host has received. So an effect has a greater timestamp than its cause on another host,
-independently of the two clocks. No certificate, lease, time limit or timer reads it
+independently of the two clocks. No certificate, lease, time limit or timer uses this clock
 (tests/tidy/test_event_timestamps.py).
 """
 
@@ -17,14 +17,15 @@ COUNTER_BITS = 16
 _COUNTER = (1 << COUNTER_BITS) - 1
 #: The largest timestamp in a message: the year 6429.
 MAX_TIMESTAMP = (1 << 63) - 1
-#: A received timestamp is followed at most this far beyond the own wall clock, in seconds. Clocks that were
-#: set by hand or by GPS differ by minutes. One that is off by more was never set, or is faulty: following it
-#: would give wrong times to the events of all hosts until the wall clocks have caught up.
+#: The maximum distance, in seconds, of a received timestamp from the host's own wall clock up to which this
+#: clock follows it. Clocks that were set by hand or by GPS differ by minutes. A clock with a larger
+#: difference was never set, or is faulty: following it would give wrong times to the events of all hosts
+#: until the wall clocks reach these times.
 MAX_AHEAD = 600.0
 #: A change of the wall clock against the monotonic clock that is reported, in seconds. NTP adjusts the rates
-#: of both clocks alike, so a smaller one is rounding.
+#: of both clocks equally, so a smaller change is a rounding error.
 MIN_JUMP = 1.0
-#: At least so many seconds are between two reports of jumps.
+#: The minimum number of seconds between two reports of jumps.
 REPORT_INTERVAL = 60.0
 
 
@@ -46,9 +47,9 @@ def timestamp_of(milliseconds: int, counter: int) -> int:
 class HybridClock:
     """The clock of one host; `now` is its monotonic time and `wall` its wall-clock time, in seconds.
 
-    `on_ahead` gets the name of a host whose timestamps are more than MAX_AHEAD ahead and not followed, and by
-    how many seconds: once, until they are well within the bound again. `on_jump` gets the seconds by which
-    the wall clock of this host was set, at most once a minute.
+    `on_ahead` gets the name of a host whose timestamps are more than MAX_AHEAD ahead and not followed, and
+    the number of seconds: once, until they are well within the bound again. `on_jump` gets the seconds by
+    which the wall clock of this host was set, at most once a minute.
     """
 
     def __init__(
@@ -59,10 +60,11 @@ class HybridClock:
         on_jump: Callable[[float], None] = lambda seconds: None,
     ) -> None:
         self._on_ahead, self._on_jump = on_ahead, on_jump
-        #: Wall-clock time minus monotonic time; the same at the last report of a jump, and when that was.
+        #: Wall-clock time minus monotonic time; the same at the last report of a jump, and the time of that
+        #: report.
         self._offset = self._known_offset = wall - now
         self._reported_at = -math.inf
-        #: These three, as another tuple after each change.
+        #: The three values above, as a new tuple after each change.
         self.settings = self._offset, self._known_offset, self._reported_at
         #: The hosts that are too far ahead.
         self._reported: set[str] = set()
@@ -72,7 +74,7 @@ class HybridClock:
 
     @property
     def state(self) -> tuple[int, float, float, float]:
-        """All that its next timestamps depend on, for `restore`."""
+        """The state that determines the next timestamps, for `restore`."""
         return self.last, *self.settings
 
     def restore(self, state: tuple[int, float, float, float]) -> None:
@@ -92,7 +94,7 @@ class HybridClock:
             self._on_jump(jump)
 
     def wall_time(self, now: float) -> float:
-        """The time of the wall clock at its last reading, carried on to `now`; in seconds since 1970."""
+        """The wall-clock time at `now`, extrapolated from its last reading; in seconds since 1970."""
         return max(0.0, now + self._offset)
 
     def tick(self, now: float) -> int:

@@ -1,7 +1,7 @@
-"""What a driver adds to L, as plain data: device types, instructions, telemetry.
+"""The additions of a driver to L, as plain data: device types, instructions, telemetry.
 
-A base module: the compiler reads it to check programs, the host to route calls, the driver to know
-its own promises. The vendor library is not needed for that.
+This is a base module: the compiler uses the data to check programs, the host to route calls, and the driver
+to check its own contract. The vendor library is not needed for this.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from msgspec import Struct
 
 Effect = Literal["query", "idempotent", "actuate"]
 
-#: What a cancel does where no instruction is named that ends the running one: nothing, since it must be
-#: completed; or it only ends the wait for it.
+#: The effect of a cancel if no instruction is named that ends the running one: none, since the instruction
+#: must be completed; or only the end of the wait for it.
 NEVER, LEAVE = "never", "leave"
 
-#: What of the team's frame a parameter or a quantity is about (`lfield.driver.frame` says how each is meant).
+#: The references of a parameter or a quantity to the team's frame (`lfield.driver.frame` defines each).
 FRAME_KINDS = ("place", "direction", "heading")
 
-#: What a file is that a parameter names; the compiler reads it.
+#: The kinds of files that a parameter names and the compiler reads.
 FILE_KINDS = ("plan",)
 
-#: L types that may cross between a program and a driver.
+#: L types that may be passed between a program and a driver.
 DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
-#: A value of one of those types, as Python sees it.
+#: A value of one of these types in Python.
 DeviceValue = bool | int | float | str | Sequence[int | float] | None
 
 
 class Observation(Struct, frozen=True, array_like=True):
     """The value of a telemetry quantity that was true at `when`, in seconds of the monotonic clock.
 
-    Driver, guard and host are on one machine and share that clock, so this is what each of them keeps and
-    hands on. How old it is is asked where it matters.
+    Driver, guard and host are on one machine and share this clock, so each of them stores and passes on the
+    time. The age is computed where it is needed.
     """
 
     value: DeviceValue
@@ -46,8 +46,8 @@ class Observation(Struct, frozen=True, array_like=True):
 class Parameter(Struct, frozen=True):
     """One parameter of an instruction. `type` is an L type name, `unit` an SI unit or ''.
 
-    `frame` is a kind of FRAME_KINDS for what is about the team's frame, '' for all else. `file` is a kind of
-    FILE_KINDS for the name of a file that the compiler reads, '' for all else.
+    `frame` is a kind of FRAME_KINDS for a value that refers to the team's frame, '' for others. `file` is a
+    kind of FILE_KINDS for the name of a file that the compiler reads, '' for others.
     """
 
     name: str
@@ -61,15 +61,15 @@ class Parameter(Struct, frozen=True):
 class Instruction(Struct, frozen=True):
     """One library instruction of a device type: `fc.takeoff(10.0)`.
 
-    `result` is an L type name or 'void'. `effect` is what a repetition does: nothing (query),
-    nothing new (idempotent), or act again (actuate). A query is answered from the last telemetry
-    snapshot and never blocks; `blocking` instructions hold the calling thread until they are done.
-    Instructions of one `channel` replace one another, those of different channels run side by side: a
-    gripper may close while the vehicle that carries it flies on.
+    `result` is an L type name or 'void'. `effect` is the effect of a repetition: none (query), no further one
+    (idempotent), or a second action (actuate). A query is answered from the last telemetry snapshot and never
+    blocks; `blocking` instructions block the calling thread until they are done. Instructions of one
+    `channel` replace one another, instructions of different channels run concurrently: a gripper may close
+    while its vehicle flies.
 
-    `cancel` is what a cancel of a blocking one that acts does: the name of an instruction of the same device
-    and channel, without parameters, which is carried out instead of it (`hold`); NEVER; or LEAVE. '' for all
-    others.
+    `cancel` is the effect of a cancel of a blocking instruction that acts: the name of an instruction of the
+    same device and channel, without parameters, which is executed in its place (`hold`); NEVER; or LEAVE. It
+    is '' for all others.
     """
 
     name: str
@@ -84,28 +84,31 @@ class Instruction(Struct, frozen=True):
 
     @property
     def may_be_cancelled(self) -> bool:
-        """Whether a call of it that is under way can be given up.
+        """Whether a call of this instruction can be cancelled while under way.
 
-        A blocking query can, since nothing depends on it; a setpoint cannot, since it is done at once.
+        A blocking query can be cancelled, since it has no effect; a setpoint cannot, since it is done at
+        once.
         """
         return self.blocking and (self.only_asks or self.cancel not in ("", NEVER))
 
     @property
     def only_asks(self) -> bool:
-        """Whether it moves and changes nothing: telemetry answers it, or the device itself is asked."""
+        """Whether the instruction has no effect on the device: telemetry, or a query to the device itself,
+        answers it.
+        """
         return self.effect == "query"
 
     @property
     def is_query(self) -> bool:
-        """Whether telemetry answers it: then it is never sent to the device."""
+        """Whether telemetry answers the instruction, which is then never sent to the device."""
         return self.only_asks and not self.blocking
 
 
 class Quantity(Struct, frozen=True):
     """One telemetry quantity that the driver publishes and queries read.
 
-    `max_age` in seconds; `rate` in Hz is the rate that the driver requests from the device, 0 when it
-    is reported irregularly, or not by every device. `frame` is as that of a parameter.
+    `max_age` in seconds; `rate` in Hz is the rate that the driver requests from the device, 0 when it is
+    reported irregularly, or not by every device. `frame` is as for a parameter.
     """
 
     name: str
@@ -119,9 +122,9 @@ class Quantity(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class DeviceManifest:
-    """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states.
+    """A device type in L: `Mavlink fc;` with its instructions, telemetry and safe states.
 
-    A pure sensor has no safe state: all its instructions only ask.
+    A pure sensor has no safe state: all its instructions are queries.
     """
 
     type: str
@@ -136,5 +139,5 @@ class DeviceManifest:
         return {i.name: i for i in self.instructions}
 
     def instruction(self, name: str) -> Instruction | None:
-        """The instruction of that name, or None. A device type never overloads a name."""
+        """The instruction with this name, or None. A device type never overloads a name."""
         return self._by_name.get(name)

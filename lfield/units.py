@@ -1,8 +1,8 @@
-"""Units as data: what a symbol means, how compound units are read, and how one unit becomes another.
+"""Units as data: the meanings of symbols, the parsing of compound units, and conversions between units.
 
-A unit is written as in the manifests of drivers: factors with their exponents, `/` before what divides:
-`m/s`, `m/s2`, `N m`, `kg m2/s2`. Numbers inside lfield are SI; other units are converted where they are
-read. An angle has its own dimension, so that hertz are never converted to radians per second.
+A unit is written as in the manifests of drivers: factors with their exponents, `/` before divisors: `m/s`,
+`m/s2`, `N m`, `kg m2/s2`. Numbers inside lfield are SI; other units are converted where they are read. An
+angle has its own dimension, so that hertz are never converted to radians per second.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import lru_cache
 
 from lfield.text.suggestions import did_you_mean
 
-#: What units are made of, in the order of the exponents: SI's base units, the radian, and the byte.
+#: The base units in the order of the exponents: SI's base units, the radian, and the byte.
 BASE = ("m", "kg", "s", "A", "K", "mol", "cd", "rad", "B")
 
 #: Exponents of the base units, in the order of BASE.
@@ -24,7 +24,9 @@ Dimension = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class MeasurementUnit:
-    """A unit: `amount * factor + offset` is the same in SI. Exact, but where pi is in it."""
+    """A unit: `amount * factor + offset` is the amount in SI. The conversion is exact, except for multiples
+    of pi.
+    """
 
     dimension: Dimension
     factor: Fraction = Fraction(1)
@@ -36,7 +38,7 @@ ONE = MeasurementUnit((0,) * len(BASE))
 
 _DEGREE = Fraction(math.pi) / 180
 
-#: Symbol, what it is in units that stand above it, and how many of them.
+#: The table of units: a symbol, its unit expressed in units above it, and the factor.
 _TABLE: tuple[tuple[str, str, Fraction], ...] = (
     ("%", "", Fraction(1, 100)),
     ("ppm", "", Fraction(1, 10**6)),
@@ -103,14 +105,15 @@ _TABLE: tuple[tuple[str, str, Fraction], ...] = (
     ("bit", "B", Fraction(1, 8)),
 )
 
-#: Scales whose zero is elsewhere: symbol, kelvins in one degree, kelvins at zero. They stand alone.
+#: Scales with another zero: symbol, kelvins in one degree, kelvins at zero. Their symbols cannot be part of a
+#: compound unit.
 _SCALES: tuple[tuple[str, Fraction, Fraction], ...] = (
     ("degC", Fraction(1), Fraction(27315, 100)),
     ("°C", Fraction(1), Fraction(27315, 100)),
     ("degF", Fraction(5, 9), Fraction(45967, 100) * Fraction(5, 9)),
 )
 
-#: What stands in the registry beside SI: places on the earth are in degrees, temperatures in degrees Celsius.
+#: The units of the registry besides SI: places on the Earth are in degrees, temperatures in degrees Celsius.
 EXTRA_UNITS = frozenset({"deg", "degC", "°C"})
 
 _FACTOR = re.compile(r"(?P<symbol>[^\s/0-9^]+)\^?(?P<exponent>-?[0-9])?|1")
@@ -118,7 +121,7 @@ _LONGEST = 40
 
 
 def unit(text: str) -> MeasurementUnit | None:
-    """The unit that a text names, '' and '1' the pure number; None when there is no such unit."""
+    """The unit that a text names, the pure number for '' and '1'; None if there is no such unit."""
     return _read(text.strip()) if len(text) <= _LONGEST else None
 
 
@@ -128,9 +131,9 @@ def is_unit(text: str) -> bool:
 
 
 def conversion(source: str, target: str) -> tuple[float, float] | None:
-    """(factor, offset): `amount * factor + offset` in `target` is what `amount` is in `source`.
+    """(factor, offset): `amount` in `source` is `amount * factor + offset` in `target`.
 
-    None when one of them is no unit, or they measure different things.
+    None if one of them is no unit, or if they have different dimensions.
     """
     before, after = unit(source), unit(target)
     if before is None or after is None or before.dimension != after.dimension:
@@ -147,7 +150,7 @@ def is_registry_unit(text: str) -> bool:
 
 
 def in_si(text: str) -> str:
-    """The SI unit of what a unit measures, written with base units: `kg m/s2` for `kN`, '' for none."""
+    """The SI unit for the dimension of a unit, written with base units: `kg m/s2` for `kN`, '' for none."""
     meant = unit(text) or ONE
     pairs = list(zip(BASE, meant.dimension, strict=True))
     over = " ".join(base + _exponent(power) for base, power in pairs if power > 0)
@@ -166,7 +169,7 @@ def _exponent(power: int) -> str:
 
 @lru_cache(maxsize=1)
 def _symbols() -> dict[str, MeasurementUnit]:
-    """All symbols of the tables. A row is read with what the rows above it say."""
+    """All symbols of the tables. A row is parsed with the symbols of the rows above it."""
     symbols: dict[str, MeasurementUnit] = {}
     for index, base in enumerate(BASE):
         symbols[base] = MeasurementUnit(tuple(int(i == index) for i in range(len(BASE))))
@@ -186,7 +189,7 @@ def _read(text: str) -> MeasurementUnit | None:
 
 
 def _product(text: str, symbols: dict[str, MeasurementUnit]) -> MeasurementUnit | None:
-    """`N m/s2`: words are multiplied; in the last of them everything after a `/` divides."""
+    """`N m/s2`: words are multiplied; all factors after a `/` in the last word are divisors."""
     whole: MeasurementUnit | None = ONE
     factors = text.split()
     for index, factor in enumerate(factors):

@@ -48,7 +48,7 @@ def disassemble(program: Program) -> str:
 
 
 def instructions(program: Program, method: int) -> dict[int, tuple[str, str]]:
-    """By number each instruction of a method as in the listing, with its line of L ('' if unknown)."""
+    """The instructions of a method as in the listing, by number, each with its line of L ('' if unknown)."""
     texts = [source.text.split("\n") for source in program.debug.sources]
     found = _MethodListing(program, method, texts).instructions()
     return {pc: (_shown(line), _shown(text)) for pc, line, text in found}
@@ -183,7 +183,9 @@ class _MethodListing:
         return f"^{number}" if number >= 0 else self._constant(-1 - number)
 
     def _field(self, quad: Quad, number: int) -> str:
-        """The name of a field; the object is the slot operand before it, which comes last or first."""
+        """The name of a field; the object is the slot operand before the field, which is the last or the
+        first one.
+        """
         holder = quad.b if BY_CODE[quad.op].name == "getf" else quad.a
         owner = self._program.core.types[self._method.slots[holder]].of
         return self._program.core.classes[owner].fields[number].name

@@ -2,8 +2,8 @@
 
     "LFLP"  u16 version  u16 0  32 bytes SHA-256 of all that follows  u32 length of core  core  debug
 
-Decoding is safe for untrusted bytes: lengths and types are checked while decoding, nothing is executed,
-and the verifier checks the program before it is returned.
+Decoding is safe for untrusted bytes: lengths and types are checked while decoding, no code is executed, and
+the verifier checks the program before it is returned.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAGIC = b"LFLP"
 VERSION = 3
 #: Programs of lfield 0.3, which lack some instructions and built-in classes.
 OLD_VERSION = 2
-#: A larger file is not read.
+#: The maximum size of a file; a larger one is not read.
 MAX_SIZE = 16 << 20
 
 _HEADER = struct.Struct("<4sHH32sI")

@@ -1,8 +1,8 @@
 """The table of instructions (appendix J, extended): encoder, verifier, disassembler, engines and the
 reference page are derived from it.
 
-An instruction is a quad: an opcode and three 32-bit operands. Opcodes have the numbers that appendix B
-gives, where it gives any. An operand is one of
+An instruction is a quad: an opcode and three 32-bit operands. Opcodes have the numbers in appendix B, if it
+has any. An operand is one of
 
     D   destination: a slot of the activation record          S   source: a slot, or a constant
     V   source: a slot                                         L   label: an instruction of this method
@@ -381,7 +381,7 @@ TABLE: tuple[Opcode, ...] = (
         exits=True,
     ),
     _head(1873, "tick_failed", "ref", "Reports the exception that has ended a tick of a loop.", exits=True),
-    # sequencing: each moves the coordinator to the home of the one that it names, which decides
+    # sequencing: each moves the coordinator to the home of the named coordinator, which decides
     _head(
         1851,
         "seq_start",
@@ -400,7 +400,7 @@ TABLE: tuple[Opcode, ...] = (
         "A line of the operator's input at this host, within a time in seconds; TimeLimitException.",
         exits=True,
     ),
-    # calls that are begun now and fetched later: the ticket of a future is a sentinel with one call
+    # calls that are started now and fetched later: the ticket of a future is a sentinel with one call
     _head(1830, "launch", "ref", "Starts the call of a ticket: goes to its host.", exits=True),
     _head(
         1831,

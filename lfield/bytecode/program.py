@@ -16,7 +16,7 @@ import msgspec
 
 from lfield.bytecode.opcodes import BY_NAME
 
-# Kinds of types. The first eight types of every program are those without parts, at these indexes.
+# Kinds of types. The first eight types of every program are the types without parts, at these indexes.
 VOID, BOOLEAN, INT, REAL, STRING, ANY, NULL, DEVICE = range(8)
 ARRAY, OBJECT, PROXY = 8, 9, 10
 #: A call of a `together`, or the sentinel of its calls: only in slots of coordinators.
@@ -34,7 +34,7 @@ EXCEPTIONS = 8
 
 #: The built-in exception classes are the first classes of every program, in this order. Their objects have
 #: four fields: message, source and trace, all strings, and the exceptions of other calls of a `together`.
-#: `Exception` itself is index 0. In a program of lfield 0.3 there are fewer, with the first three fields.
+#: `Exception` itself is index 0. A program of lfield 0.3 has fewer of them, with the first three fields.
 BUILTIN_CLASSES = (
     "Exception",
     "UnreachableResourceException",
@@ -55,9 +55,9 @@ BUILTIN_CLASSES = (
     "ReservationLostException",
     "AccessException",
 )
-#: The parent of a built-in class, where that is not just `Exception`: a catch of it catches both.
+#: The parent of a built-in class, if it is not `Exception`: a catch of the parent catches both.
 BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}
-#: Their number in a program of lfield 0.3. Later ones are only appended.
+#: The number of built-in classes in a program of lfield 0.3. Later ones are only appended.
 OLDEST_BUILTINS = 12
 MESSAGE, SOURCE, TRACE, OTHERS = 0, 1, 2, 3
 #: The name of the last field of a class of the program whose objects may be thrown: its suppressed
@@ -71,12 +71,12 @@ FACT_FIELDS = (
     *("agent", "host", "way", "score", "names", "numbers", "texts", "ages"),
     *("found", "note", "sources", "since"),
 )
-#: Their number in a program of lfield 0.4. Later ones are only appended.
+#: The number of these fields in a program of lfield 0.4. Later ones are only appended.
 OLDEST_FACTS = 8
 
 UnitKind = Literal["class", "resource", "coordinator"]
 
-#: The name of the sources of the library that is written in L; traces leave their lines out.
+#: The name of the sources of the library that is written in L; traces omit their lines.
 LIBRARY_SOURCE = "<library>"
 
 _QUAD = struct.Struct("<4i")
@@ -111,7 +111,9 @@ class FieldRecord(msgspec.Struct, frozen=True, array_like=True):
 
     @property
     def is_hidden(self) -> bool:
-        """Whether no name of a program leads to it: a field of a loop, or for suppressed exceptions."""
+        """Whether no name of a program refers to the field: a field of a loop, or for suppressed
+        exceptions.
+        """
         return not self.name.isidentifier()
 
 
@@ -125,8 +127,8 @@ class DeviceField(msgspec.Struct, frozen=True, array_like=True):
 class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
     """A class, resource or coordinator. `init` is a method index, -1 for classes.
 
-    The objects of a `capability` are offers, which only the machine creates: its first field is FACTS, each
-    other one stands for one realisation.
+    The objects of a `capability` are offers, which only the machine creates: the first field is FACTS, each
+    other field represents one realisation.
     """
 
     name: str
@@ -138,20 +140,20 @@ class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
     capability: bool = False
 
 
-#: Kinds of handlers. CATCH catches objects of its class, FINALLY any, and throws it again at its end.
-#: The others catch nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT
-#: before it is set, and its negated end once it has fired. LANDING: the code of a `finally`, where an
-#: enclosing limit does not skip catches. RESERVED: `slot` has the resources of a `reserve`, an array of
-#: alternating team members and reservation numbers.
+#: Kinds of handlers. CATCH catches objects of its class; FINALLY catches any object, and throws it again at
+#: its end. The other kinds catch no object. LIMIT: `slot` has the end of a `within` in ns on the agent's
+#: clock, NO_LIMIT before it is set, and the negated end after it has expired. LANDING: the code of a
+#: `finally`, where an enclosing limit does not skip catches. RESERVED: `slot` has the resources of a
+#: `reserve`, an array of alternating team members and reservation numbers.
 CATCH, FINALLY, LIMIT, LANDING, RESERVED = range(5)
 #: The value in the slot of a LIMIT before it is set.
 NO_LIMIT = 0
 
 
 class Handler(msgspec.Struct, frozen=True, array_like=True):
-    """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, takes any).
+    """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, matches any object).
 
-    `target` and `catches` are 0 for kinds that catch nothing, and so is the slot of a LANDING.
+    `target` and `catches` are 0 for kinds that catch no object, and so is the slot of a LANDING.
     """
 
     start: int
@@ -189,7 +191,7 @@ HELD_DEVICE = ""
 class DeviceCallRecord(msgspec.Struct, frozen=True, array_like=True):
     """One instruction of a device field that the program uses, or of a device that objects have (HELD).
 
-    A device value is its position among those of its resource, from 1; 0 is none.
+    A device value is the position of the device among those of its resource, from 1; 0 is none.
     """
 
     owner: int  # class index of the resource, or of its class
@@ -236,7 +238,7 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
     code: bytes
 
     def plain_array(self, index: int) -> int:
-        """The type of the ARRAY with the elements of an array type: of a GROWABLE its second one."""
+        """The type of the ARRAY with the elements of an array type: for a GROWABLE, its second type."""
         record = self.types[index]
         return record.of if record.kind == GROWABLE else index
 
@@ -245,7 +247,7 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
         return self.types[self.plain_array(index)].of
 
     def created_arrays(self) -> dict[int, int]:
-        """By element type, the type of arrays that the machine creates: one that grows, if there is one."""
+        """By element type, the type of arrays that the machine creates: a growable one, if there is one."""
         plain = {record.of: i for i, record in enumerate(self.types) if record.kind == ARRAY}
         growing = {
             self.types[record.of].of: i for i, record in enumerate(self.types) if record.kind == GROWABLE
@@ -289,7 +291,7 @@ class Program:
     def __init__(self, core: Core, debug: Debug, digest: bytes) -> None:
         self.core = core
         self.debug = debug
-        #: SHA-256 of the encoded core: 32 bytes.
+        #: The SHA-256 of the encoded core: 32 bytes.
         self.digest = digest
 
     def with_sources(self, more: Iterable[SourceText]) -> Program:
@@ -313,17 +315,17 @@ class Program:
 
     @cached_property
     def has_limits(self) -> bool:
-        """Whether it has a `within`: then a time limit may skip a catch."""
+        """Whether the program has a `within`, so that a time limit may skip a catch."""
         return any(h.kind == LIMIT for method in self.core.methods for h in method.handlers)
 
     @cached_property
     def has_reserves(self) -> bool:
-        """Whether it has a `reserve`."""
+        """Whether the program has a `reserve`."""
         return any(h.kind == RESERVED for method in self.core.methods for h in method.handlers)
 
     @cached_property
     def has_stops(self) -> bool:
-        """Whether it stops coordinators: then a limit is around the `init` of each."""
+        """Whether the program stops coordinators, so that a limit is around the `init` of each."""
         return any(quad.op == _SEQ_STOP for quad in self.quads)
 
     @cached_property
@@ -350,7 +352,7 @@ class Program:
         return f"{self.core.classes[record.owner].name}.{record.name}"
 
     def line(self, method: int, pc: int) -> tuple[str, int]:
-        """File name and line of an instruction; ('', 0) where there is no debug information."""
+        """File name and line of an instruction; ('', 0) without debug information."""
         if method >= len(self.debug.methods):
             return "", 0
         info = self.debug.methods[method]

@@ -1,10 +1,10 @@
-"""Side-effect analysis: which methods have effects, and which coordinators request failover.
+"""Side-effect analysis: finds the methods with effects, and the coordinators that request failover.
 
-A portal has effects when it may change anything except its result. If a host fails during a call without
-effects, the caller loses nothing, so its host need not write the journal before it. A coordinator that may
-call `heartbeatInterval` (appendix I) is fenced: it runs only while its host holds a lease.
+A portal has effects when it may change data other than its result. If a host fails during a call without
+effects, the caller loses no data, so its host need not write the journal before the call. A coordinator that
+may call `heartbeatInterval` (appendix I) is fenced: it runs only while its host holds a lease.
 
-Computed from the instructions alone, so a host need not trust the compiler. In doubt a method has effects,
+The analysis uses only the instructions, so a host need not trust the compiler. In doubt a method has effects,
 and a coordinator is fenced.
 """
 
@@ -22,7 +22,7 @@ _HEARTBEAT, _READ = BY_NAME["heartbeat_interval"].code, BY_NAME["read_line"].cod
 _WRITES = frozenset({BY_NAME["putf"].code, BY_NAME["pute"].code})
 #: Heads that change their first argument.
 _CHANGES = frozenset(BY_NAME[name].code for name in ("append", "insert", "remove", "remove_last"))
-#: Instructions whose result is a new object: no other thread can hold it.
+#: Instructions whose result is a new object: no other thread can have a reference to it.
 _ALLOCATIONS = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
 #: Heads that leave the engine without an effect, except on logs, time and random numbers.
 _QUERIES = ("now", "lived", "random", "find", "findall", "agent", "host", "offers", "explain", "teams")
@@ -40,7 +40,7 @@ def _parameter_bit(parameter: int) -> int:
     return 2 << parameter
 
 
-#: A portal without effects changes none of these: its arguments are copies, its object is the resource.
+#: The changes that are effects of a portal: its arguments are copies, and its object is the resource.
 _LASTING = _OLD | _parameter_bit(0)
 
 
@@ -55,7 +55,7 @@ class _Body(Struct):
 def effectful_methods(program: Program) -> frozenset[int]:
     """The methods of a verified program that may, called as portals, have effects besides a result.
 
-    Those that lead to an instruction of a device that is not a query, to a portal, or to a change of an
+    These methods lead to an instruction of a device that is not a query, to a portal, or to a change of an
     object or array that may have existed before the call. Output, time and random numbers do not count.
     """
     bodies = [_read(program, method) for method in program.core.methods]

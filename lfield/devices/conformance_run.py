@@ -43,7 +43,7 @@ class LiveBench:
         self._guards, self.binding, self.manifest, self.notes = guards, binding, manifest, notes
         self.silence, self.quiet_after = silence, silence + MUTE_AFTER
         self.given_up = set[str]()
-        # Thread ids, as of an agent: each waits for one call.
+        # Thread ids, like those of an agent: each thread waits for one call.
         self._threads = 0
 
     @property
@@ -62,12 +62,12 @@ class LiveBench:
 
     @property
     def guard_pid(self) -> int:
-        """The process id of its guard, 0 while there is none."""
+        """The process id of the guard, 0 without one."""
         return self._guard.pid
 
     @property
     def latched(self) -> str:
-        """Why the device is latched in its safe state, '' when it is not."""
+        """The reason why the device is latched in its safe state, '' when it is not."""
         return self._guard.latched_devices.latched.get(self.binding.name, "")
 
     @property
@@ -77,7 +77,7 @@ class LiveBench:
 
     @property
     def moving(self) -> str | None:
-        """How it still moves in its safe state; '' when it is at rest, None when unknown."""
+        """The remaining motion of the device in its safe state; '' at rest, None when unknown."""
         motion = self._guard.latched_devices.moving.get(self.binding.name)
         return motion if motion != UNCONFIRMED else None
 
@@ -136,7 +136,7 @@ class LiveBench:
         await self.until(lambda: self.confirmed, SAFE, f"'{self.binding.safe_state}' to be confirmed")
 
     async def fall_silent(self, seconds: float) -> None:
-        """Stops the host's heartbeats for so many seconds."""
+        """Stops the host's heartbeats for `seconds` seconds."""
         await self._guard.stop_heartbeats(seconds)
 
     async def kill_guard(self) -> None:
@@ -173,7 +173,8 @@ async def run_conformance(
     """Runs the checks on one device after the other, and shows each finding as it is made.
 
     The last finding is END_CHECK: each device that was not at rest in its safe state at the end. `clock` is
-    that of this host, `silence` its time-out in seconds. Raises DevicesError when a device cannot be opened.
+    the clock of this host, `silence` its time-out in seconds. Raises DevicesError when a device cannot be
+    opened.
     """
     checks, notes, findings = list(checks), list[str](), list[Finding]()
     guards = DeviceGuards(plugins, clock, notes.append, silence=silence)

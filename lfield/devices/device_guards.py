@@ -38,9 +38,9 @@ class DeviceGuards:
     """The devices of some agents, by `drivers` that are known. `note` takes a log line.
 
     `silence` is the time in seconds without a heartbeat of this host after which its devices are made safe.
-    Before each heartbeat `has_progressed` runs the host for one turn and returns whether that was possible; a
-    host that is stuck sends none. `on_event` is given changes of the safe states of devices, `on_lock_out`
-    each device that its driver has locked out until it is inspected, and why.
+    Before each heartbeat `has_progressed` runs the host for one turn and returns whether this was possible; a
+    blocked host sends no heartbeat. `on_event` receives changes of the safe states of devices, `on_lock_out`
+    each device that its driver has locked out until it is inspected, with the reason.
     """
 
     def __init__(
@@ -60,19 +60,19 @@ class DeviceGuards:
         self._has_progressed = has_progressed
         self.on_event, self.on_lock_out = on_event, on_lock_out
         self._guards: list[GuardProcess] = []
-        #: Why programs may not release devices, '' while they may; also for devices opened later.
+        #: The reason why programs may not release devices, '' while they may; also for devices opened later.
         self._barred = ""
-        #: One for each running emergency stop: several may run at a time.
+        #: A future for each running emergency stop; several may run at the same time.
         self._stopping: list[asyncio.Event] = []
         self._fakes: list[FakeProcess] = []
-        #: Problems of opening that `lfield setup` would solve.
+        #: The problems of opening that `lfield setup` would solve.
         self._not_set_up: list[str] = []
         #: The result of `close`, also when not all devices could be opened.
         self._unsafe: dict[str, str] = {}
         self._by_device: dict[str, tuple[GuardProcess, DeviceManifest]] = {}
 
     async def open(self, devices: Sequence[DeviceBinding], recording: GuardRecording = NO_RECORDING) -> None:
-        """Opens all devices concurrently. Raises DevicesError with all problems; then none stays open.
+        """Opens all devices concurrently. Raises DevicesError with all problems; then all are closed again.
 
         The folder of `recording` exists; the guards share its limit.
         """
@@ -115,7 +115,7 @@ class DeviceGuards:
                 raise answer
 
     def query(self, agent: str, field: str, instruction: str) -> DeviceValue | Pending:
-        """The value of a query, PENDING for one that the device itself must answer (`call`).
+        """The value of a query, PENDING for a query that the device itself must answer (`call`).
 
         Raises DeviceError for an unknown device or instruction, or without a fresh value.
         """
@@ -138,7 +138,7 @@ class DeviceGuards:
 
         An instruction that acts starts before `until` (seconds of the host's clock) and within the device's
         `ttl`, or not at all. `thread` of the agent waits for it and identifies it for `cancel`; a thread
-        waits for one call at a time. Raises DeviceError when it cannot be attempted.
+        waits for one call at a time. Raises DeviceError if the instruction cannot be attempted.
         """
         guard, declared = self._declared(agent, field, instruction)
         guard.call(f"{agent}.{field}", declared, arguments, answered, until, thread)
@@ -146,10 +146,10 @@ class DeviceGuards:
     def cancel(self, agent: str, thread: int) -> bool:
         """Cancels the call that a thread of an agent waits for; returns whether it can be cancelled.
 
-        True: its answer follows once, as for every call: a DeviceError of kind CancelledException when the
-        device has done what its manifest defines for a cancel, or could not; the result, if it was already
-        sent; or the error of a guard that died. False: no call is running, or it may not be cancelled and
-        runs to its end. Cancelling is idempotent.
+        True: the answer follows once, as for every call: a DeviceError of kind CancelledException when the
+        device has executed the action that its manifest defines for a cancel, or could not execute it; the
+        result, if it was already sent; or the error of a guard that died. False: no call is running, or the
+        call may not be cancelled and runs to its end. Cancelling is idempotent.
         """
         return any(guard.cancel(agent, thread) for guard in self._guards)
 
@@ -179,14 +179,14 @@ class DeviceGuards:
         return found[0].snapshots.last(device, quantity) if found else None
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why a device cannot be called now, None when it can."""
+        """The reason why a device cannot be called now, None when it can."""
         found = self._by_device.get(device)
         return found[0].trouble(device) if found else Unavailability(f"{device}: not open on this host")
 
     def make_safe(self, device: str, reason: str, state: str) -> None:
         """Brings a device into a safe state of its manifest, from which the program may release it.
 
-        No effect when the devices are closed.
+        Without effect if the devices are closed.
         """
         if found := self._by_device.get(device):
             found[0].make_safe(device, reason, state)
@@ -219,7 +219,9 @@ class DeviceGuards:
         return await self.await_safe_states()
 
     async def release_held(self, reason: str) -> dict[str, str]:
-        """Releases the devices held for that reason; returns for each actuator why it stays held, or ''."""
+        """Releases the devices held for `reason`; returns for each actuator the reason why it stays held, or
+        ''.
+        """
         table: dict[str, str] = {}
         for guard in self._guards:
             for name in guard.actuated_devices:
@@ -231,7 +233,7 @@ class DeviceGuards:
         return table
 
     async def _release(self, name: str) -> str:
-        """Why a device could not be released, '' when it is."""
+        """The reason why a device could not be released, '' when it is."""
         answered: asyncio.Future[DeviceValue | DeviceError] = asyncio.get_running_loop().create_future()
         agent, _, field = name.rpartition(".")
 
@@ -248,7 +250,9 @@ class DeviceGuards:
         return str(value) if isinstance(value, DeviceError) else ""
 
     async def await_safe_states(self) -> dict[str, str]:
-        """For every device '' if it has confirmed its safe state within STOP_TIMEOUT, else why not."""
+        """For every device '' if it has confirmed its safe state within STOP_TIMEOUT, otherwise the
+        reason.
+        """
         changed = asyncio.Event()
         self._stopping.append(changed)
         for guard in self._guards:
@@ -269,7 +273,7 @@ class DeviceGuards:
             changed.set()
 
     def clear_emergency_stop(self) -> dict[str, str]:
-        """Permits programs to release their devices; returns the same table, all ''."""
+        """Permits programs to release their devices; returns the table of `await_safe_states`, all ''."""
         self._barred = ""
         for guard in self._guards:
             guard.allow_release()
@@ -277,21 +281,21 @@ class DeviceGuards:
 
     @property
     def latched(self) -> Mapping[str, str]:
-        """Why devices are latched in their safe states, by device name."""
+        """The reason why devices are latched in their safe states, by device name."""
         return {
             name: reason for guard in self._guards for name, reason in guard.latched_devices.latched.items()
         }
 
     @property
     def moving(self) -> Mapping[str, str]:
-        """How latched devices still move in their safe states, by device name; '' for one at rest."""
+        """The remaining motion of latched devices in their safe states, by device name; '' at rest."""
         return {
             name: motion for guard in self._guards for name, motion in guard.latched_devices.moving.items()
         }
 
     @property
     def last_contact(self) -> Mapping[str, float]:
-        """When each device last sent something, on the monotonic clock; absent before the first time."""
+        """The time of the last message of each device, on the monotonic clock; absent before it."""
         return {name: when for guard in self._guards for name, when in guard.snapshots.last_contact.items()}
 
     @property
@@ -303,7 +307,7 @@ class DeviceGuards:
         """Makes every device safe, ends the guards when all are at rest, then the simulated devices.
 
         Returns the devices that were not confirmed at rest, with their last known condition, which can still
-        be queried. Bounded by their `rest_within`; `stop_waiting` shortens it.
+        be queried. The wait is bounded by their `rest_within`; `stop_waiting` shortens it.
         """
         ends = await asyncio.gather(*(self._close(guard) for guard in self._guards))
         await asyncio.gather(*(fake.stop() for fake in self._fakes))
@@ -320,13 +324,15 @@ class DeviceGuards:
         return {name: f"{why}; {guard.snapshots.describe(name)}" for name, why in unsafe.items()}
 
     def stop_waiting(self) -> None:
-        """Stops waiting for devices; `close` then ends and reports those not at rest."""
+        """Stops waiting for devices; `close` then ends and reports the devices that are not at rest."""
         for guard in self._guards:
             guard.stop_waiting()
 
 
 def _recording_of(bus: Sequence[DeviceBinding], recording: GuardRecording, limit: int) -> GuardRecording:
-    """What the guard of a bus writes, in a folder of its own: its driver cannot remove other files."""
+    """The recording of the guard of a bus, in a folder of its own, so that its driver cannot remove other
+    files.
+    """
     if not recording.folder:
         return recording
     folder = guard_folder(Path(recording.folder), bus[0].name)
@@ -337,7 +343,7 @@ def _recording_of(bus: Sequence[DeviceBinding], recording: GuardRecording, limit
 
 
 def _unconfirmed(guard: GuardProcess, name: str) -> str:
-    """Why an emergency stop is not confirmed for a device; '' when it is."""
+    """The reason why an emergency stop is not confirmed for a device; '' when it is."""
     if name not in guard.latched_devices.confirmed:
         return f"its safe state was not confirmed in {STOP_TIMEOUT:g} s"
     if guard.snapshots.silent_since(name) is not None:
@@ -346,7 +352,7 @@ def _unconfirmed(guard: GuardProcess, name: str) -> str:
 
 
 def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:
-    """Problems of devices of different drivers on one port, which would take each other's bytes."""
+    """Problems of devices of different drivers on one port, which would receive each other's bytes."""
     first: dict[str, DeviceBinding] = {}
     return [
         f"{rival.name} and {device.name} are both at {device.endpoint}, with the drivers '{rival.driver}' "

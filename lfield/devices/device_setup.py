@@ -1,6 +1,6 @@
-"""Reads the stored settings of devices and writes what their bindings need (`lfield setup`).
+"""Reads the stored settings of devices and writes the settings that their bindings need (`lfield setup`).
 
-Devices are accessed in this process without a guard, since nothing is commanded. An endpoint in use by
+Devices are accessed in this process without a guard, since no device is commanded. An endpoint in use by
 another process is reported.
 """
 
@@ -24,7 +24,7 @@ from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.endpoint_lock import EndpointLock
 from lfield.manifest import DeviceValue
 
-#: Takes one log line.
+#: Receives one log line.
 Report = Callable[[str], None]
 
 
@@ -62,25 +62,25 @@ class _SetupReports:
         self._report = report
 
     def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
-        """Telemetry is not used."""
+        """Ignores telemetry, which is not used."""
 
     def heard(self, device: str) -> None:
-        """Responses are enough."""
+        """Ignores contact: responses are sufficient."""
 
     def note(self, device: str, text: str) -> None:
         """Shows a sentence to the user."""
         self._report(f"{device}: {text}")
 
     def breach(self, device: str, reason: str) -> None:
-        """Shown: nothing is moved here, but another controller may move it."""
+        """Shows the reason: no device is moved here, but another controller may move it."""
         self._report(f"{device}: {reason}")
 
     def lock_out(self, device: str, reason: str) -> None:
-        """Shown: nothing is moved here, but another controller may move it."""
+        """Shows the reason: no device is moved here, but another controller may move it."""
         self._report(f"{device}: {reason}")
 
     def crashed(self, reason: str | BaseException) -> None:
-        """Shown; the current request fails by itself."""
+        """Shows the reason; the current request fails by itself."""
         self._report(f"the driver failed: {reason}")
 
 
@@ -132,7 +132,7 @@ async def _inspect(device: Device) -> FoundDevice:
     settings = await device.settings()
     if not settings:
         return FoundDevice(device, identity, settings)
-    # Checked first: if it fails, the binding must change before any setting.
+    # This is checked first: if it fails, the binding must change before any setting.
     await device.check_watchdog()
     return FoundDevice(device, identity, settings, await device.serial())
 

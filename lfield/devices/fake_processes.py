@@ -15,7 +15,7 @@ from lfield.errors import PluginError
 
 #: Seconds for a simulated device to be ready; seconds to end on request.
 READY_TIMEOUT, END_TIMEOUT = 20.0, 3.0
-#: Characters of a simulated device's output at startup that are kept (the last ones).
+#: The number of characters kept of a simulated device's output at startup (the last ones).
 MAX_OUTPUT = 1 << 16
 
 
@@ -27,7 +27,7 @@ class FakeProcess(msgspec.Struct, frozen=True):
     output: FakeOutput
 
     async def stop(self) -> None:
-        """Ends it."""
+        """Ends the simulated device."""
         if self.process.stdin is not None:
             self.process.stdin.close()
         try:
@@ -89,7 +89,7 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
 async def bind_to_fakes(
     devices: Sequence[DeviceBinding], running: list[FakeProcess], problems: list[str]
 ) -> list[DeviceBinding]:
-    """The same devices, with the simulated ones bound to the endpoints of started processes.
+    """The devices, with the simulated ones bound to the endpoints of started processes.
 
     The simulated devices are added to `running`, and a sentence to `problems` for each that does not start.
     """
@@ -130,13 +130,13 @@ class FakeOutput:
                 self._kept = (self._kept + text)[-MAX_OUTPUT:]
 
     def flush(self) -> None:
-        """Passes on the buffered output, and all that follows."""
+        """Passes on the buffered output, and all later output."""
         kept, self._kept = self._kept, None
         sys.stderr.write(kept or "")
 
     def exit_reason(self, what: str, said: str) -> str:
-        """`what` with the output of a simulated device that has ended (stderr or `said`): of a traceback the
-        last line.
+        """`what` with the output of a simulated device that has ended (stderr or `said`): only the last line
+        of a traceback.
         """
         lines = [line.strip() for line in f"{self._kept or ''}\n{said}".splitlines() if line.strip()]
         if any(line.startswith("Traceback") for line in lines):

@@ -49,23 +49,23 @@ from lfield.manifest import Instruction
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
-#: Heartbeats without an answer after which the guard counts as hung. Counted in heartbeats, so that a host
-#: that was stopped itself does not blame its guards.
+#: Heartbeats without an answer after which the guard counts as hung. The limit counts heartbeats, so that a
+#: host that was itself stopped does not regard its guards as hung.
 MAX_UNANSWERED = 60
-#: Seconds for a guard to open its devices; seconds to end in addition to its devices' own time.
+#: Seconds for a guard to open its devices; seconds to end, in addition to the time of its devices.
 OPEN_TIMEOUT, STOP_TIMEOUT = 60.0, 5.0
 #: Seconds for a guard to end without waiting for its devices.
 HURRIED_TIMEOUT = 1.0
-#: Seconds before a guard that died is restarted: after an early death, and at most. A guard that lived longer
-#: is restarted at once: an autopilot's failsafe waits no more than 2 s.
+#: Seconds before a guard that died is restarted: after an early death, and the maximum. A guard that ran
+#: longer is restarted at once: an autopilot's failsafe waits no more than 2 s.
 FIRST_RESTART_DELAY, MAX_RESTART_DELAY = 0.2, 5.0
 
-#: Why devices are made safe in an orderly stop of the host.
+#: The reason why devices are made safe in an orderly stop of the host.
 STOPPING = "the host is stopping"
 
 
 def restart_delay(lived: float) -> float:
-    """Seconds to wait before restarting a guard that died `lived` seconds after it was ready."""
+    """Seconds until the restart of a guard that died `lived` seconds after it was ready."""
     return 0.0 if lived > MAX_RESTART_DELAY else FIRST_RESTART_DELAY
 
 
@@ -100,13 +100,13 @@ class GuardProcess(asyncio.SubprocessProtocol):
         self._restarting: asyncio.Task[None] | None = None
         self._opening: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._exited = asyncio.Event()
-        # Set when the devices are open or never will be, and when this guard has ended.
+        # Set when the devices are open or will never be open; and set when this guard has ended.
         self._settled, self._over = asyncio.Event(), asyncio.Event()
         self._ready = self._stopping = self._hurried = self._has_spoken = False
         self._unanswered, self._ready_at, self._open_reason = 0, -math.inf, ""
         self._calls = PendingDeviceCalls()
         self._unsafe: dict[str, str] | None = None
-        #: Which of its devices are latched in a safe state, and why.
+        #: The devices that are latched in a safe state, and the reasons.
         self.latched_devices = LatchedDevices(self._devices, clock, note, self._heartbeats)
         #: Identities of the devices as reported by their drivers, once they are open.
         self.identities: dict[str, str] = {}
@@ -142,8 +142,8 @@ class GuardProcess(asyncio.SubprocessProtocol):
     async def close(self) -> dict[str, str]:
         """Makes the devices safe, and ends the process when they are at rest.
 
-        Returns the devices not confirmed at rest, with their last known condition. A guard that dies
-        meanwhile is restarted. Bounded by `rest_within` of its devices; `stop_waiting` shortens it.
+        Returns the devices not confirmed at rest, with their last known condition. A guard that dies during
+        this time is restarted. Bounded by `rest_within` of its devices; `stop_waiting` shortens it.
         """
         self._stopping = True
         self.latched_devices.on_stop()
@@ -161,7 +161,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         return self._unsafe_devices()
 
     def stop_waiting(self) -> None:
-        """Stops waiting for the devices; those not at rest are reported."""
+        """Stops waiting for the devices; the devices not at rest are reported."""
         self._hurried = True
         self._send(Stop(STOPPING, at_once=True))
         asyncio.get_running_loop().call_later(HURRIED_TIMEOUT, self._abandon)
@@ -184,7 +184,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         return {name: f"{said}, and its guard has ended" for name, said in motions.items() if said}
 
     def kill(self) -> None:
-        """Kills the process; the next one makes the devices safe, unless the guard is closing."""
+        """Kills the process; the next process makes the devices safe, unless the guard is closing."""
         if self._transport is not None:
             kill(self._transport)
 
@@ -225,7 +225,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         self._send(self.latched_devices.request_safe(device, reason, state))
 
     async def stop_heartbeats(self, seconds: float) -> None:
-        """Sends no heartbeat for so many seconds, as a host that hangs."""
+        """Sends no heartbeat for `seconds` seconds, like a host that hangs."""
         if self._heartbeat_timer is not None:
             self._heartbeat_timer.cancel()
         self._heartbeats.pause()
@@ -277,7 +277,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
 
     @property
     def pid(self) -> int:
-        """Its process id, 0 while there is none."""
+        """The process id, 0 without a process."""
         return (self._transport.get_pid() if self._transport is not None else 0) or 0
 
     @property
@@ -286,7 +286,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         return self._ready
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why the device cannot be called now; None when it can."""
+        """The reason why the device cannot be called now; None when it can."""
         binding = self._devices[device]
         if not self._ready:
             return Unavailability(f"{binding.field}: its guard has died and is restarting")
@@ -299,7 +299,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
 
     @property
     def actuated_devices(self) -> tuple[str, ...]:
-        """The devices of this bus with a safe state: all but pure sensors."""
+        """The devices of this bus with a safe state: all except pure sensors."""
         return tuple(name for name, device in self._devices.items() if not device.is_sensor)
 
     # -- the process ----------------------------------------------------------------------------------
@@ -309,8 +309,8 @@ class GuardProcess(asyncio.SubprocessProtocol):
         # Casts, since uvloop's transports have these methods but not these base classes.
         self._transport = cast("asyncio.SubprocessTransport", transport)
         self._pipe = cast("asyncio.WriteTransport", self._transport.get_pipe_transport(0))
-        # The first message, also when another task stops this guard while `open` waits for the process: a
-        # guard that received `Stop` first would end without making its devices safe.
+        # This is the first message, also when another task stops this guard while `open` waits for the
+        # process: a guard that received `Stop` first would end without making its devices safe.
         devices, foreign_controlled = list(self._devices.values()), sorted(self.snapshots.received)
         opening = self._open_reason, self._silence, self._driver, foreign_controlled
         self._send(OpenDevices(devices, *opening, self._recording))
@@ -337,7 +337,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
             self._heartbeat_timer.cancel()
         was_ready, self._ready = self._ready, False
         if was_ready and self._stopping and status == 0:
-            self._unsafe = {}  # Its last message may be lost when it is out of memory.
+            self._unsafe = {}  # The last message of the guard may be lost when it is out of memory.
         self._exited.set()
         if not self._opening.done():
             self._opening.set_exception(DevicesError([f"the driver's process ended with status {status}"]))
@@ -382,7 +382,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
 
     def _on_failed(self, problems: list[tuple[str, str, str]]) -> None:
         kinds = {f"{device or self._label}: {reason}": kind for device, kind, reason in problems}
-        if self._opening.done():  # The opening is no longer awaited.
+        if self._opening.done():  # No task waits for the opening any more.
             if not self.identities:  # A guard that could not be restarted leaves its devices as they are.
                 self._unsafe = {}
             return

@@ -12,8 +12,8 @@ from lfield.errors import DevicesError
 
 #: Seconds per measurement, and between two of its timers.
 SPAN, STEP = 1.0, 0.01
-#: Measurements until one is good enough. A computer that has just booted, or that starts several hosts, is
-#: late once; one that is too slow for its bindings is late each time.
+#: The maximum number of measurements until one is good enough. A computer that has just booted, or that
+#: starts several hosts, is late once; a computer that is too slow for its bindings is late each time.
 TRIES = 3
 
 

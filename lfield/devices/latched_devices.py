@@ -1,6 +1,7 @@
-"""Latched devices of a guard: why they are held, and their progress to rest.
+"""Latched devices of a guard: the reasons for their safe states, and their progress to rest.
 
-Messages of the guard in, log lines out. Also stores the requests that a restarted guard must get again.
+Messages of the guard in, log lines out. This module also stores the requests that a restarted guard must get
+again.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ OnLatchEvent = Callable[
 
 
 class LatchedDevices:
-    """The latched devices of one guard by name. `pulse` determines when this computer caused a silence."""
+    """The latched devices of one guard by name. `pulse` determines whether this computer caused a silence."""
 
     def __init__(
         self,
@@ -39,37 +40,37 @@ class LatchedDevices:
         self._devices, self._clock, self._note, self._pulse = devices, clock, note, pulse
         self._progress_logged_at: dict[str, float] = {}
         self._states: dict[str, str] = {}
-        #: What devices do in their safe states, where that differs from the name of the state.
+        #: The actions of devices in their safe states, if they differ from the name of the state.
         self._actions: Mapping[str, Mapping[str, str]] = {}
         self._requests: dict[str, RequestSafeState] = {}
-        #: Why no device may be released, '' while all may.
+        #: The reason why no device may be released, '' while all may.
         self.barred = ""
         #: Whether the host is stopping: an ordinary stop is logged once, when it is done.
         self.stopping = False
-        #: Why a device is held in its safe state, by name; absent while it accepts calls.
+        #: The reason why a device is held in its safe state, by name; absent while it accepts calls.
         self.latched: dict[str, str] = {}
         #: The latched devices whose safe states are confirmed.
         self.confirmed: set[str] = set()
-        #: How a latched device still moves in its safe state, by name; '' once it is at rest.
+        #: The remaining motion of a latched device in its safe state, by name; '' at rest.
         self.moving: dict[str, str] = {}
-        #: Why a driver requires an inspection of its device, by name; absent for one that may move.
+        #: The reason why a driver requires an inspection, by device; absent for a device that may move.
         self.locked_out: dict[str, str] = {}
-        #: Called with each device that is locked out, and why.
+        #: Called with each device that is locked out, and the reason.
         self.on_lock_out: Callable[[str, str], None] = lambda device, reason: None
-        #: Called after every change of these; and with the change, for observers of the host.
+        #: Called after every change of this data; and called with the change, for observers of the host.
         self.on_change: Callable[[], None] = lambda: None
         self.on_event: OnLatchEvent = lambda event: None
 
     def set_event_handlers(self, on_event: OnLatchEvent, on_lock_out: Callable[[str, str], None]) -> None:
-        """Sets what is called with every event, and with every device that is locked out."""
+        """Sets the functions that are called with every event, and with every device that is locked out."""
         self.on_event, self.on_lock_out = on_event, on_lock_out
 
     def set_change_handler(self, on_change: Callable[[], None]) -> None:
-        """Sets what is called after every change."""
+        """Sets the function that is called after every change."""
         self.on_change = on_change
 
     def set_actions(self, actions: Mapping[str, Mapping[str, str]]) -> None:
-        """Sets what devices do in their safe states, by device and state."""
+        """Sets the actions of devices in their safe states, by device and state."""
         self._actions = actions
 
     def on_stop(self) -> None:
@@ -81,11 +82,11 @@ class LatchedDevices:
         self.barred = reason
 
     def state(self, device: str) -> str:
-        """The safe state that a device is held in, or would be."""
+        """The safe state in which a device is held, or would be held."""
         return self._states.get(device) or self._devices[device].safe_state
 
     def on_message(self, message: Latched | LockedOut | Moving | Released) -> None:
-        """A message of the guard. Raises WireError for a device that it does not guard."""
+        """A message of the guard. Raises WireError for a device that the guard does not have."""
         if message.device not in self._devices:
             raise WireError(f"message about '{message.device}', which it does not guard")
         match message:
@@ -124,7 +125,7 @@ class LatchedDevices:
             self._note(kind.line(device=device, state=action, reason=reason))
 
     def _log_progress(self, device: str, moving: str) -> None:
-        """Logs the progress that a stop waits for."""
+        """Logs the progress for which a stop waits."""
         now = self._clock.monotonic()
         if not moving and self._progress_logged_at.pop(device, None) is not None:
             self._note(log_messages.DEVICE_AT_REST.line(device=device))
@@ -137,12 +138,12 @@ class LatchedDevices:
             self._note(log_messages.DEVICE_MOVING.line(device=device, moving=moving))
 
     def on_guard_died(self) -> None:
-        """The state of its devices is unknown."""
+        """The guard has died: the state of its devices is unknown."""
         self.confirmed.clear()
         self.moving = dict.fromkeys(self.latched, UNCONFIRMED)
 
     def request_safe(self, device: str, reason: str, state: str) -> RequestSafeState:
-        """The request for a safe state; '' is that of the binding."""
+        """The request for a safe state; '' is the one of the binding."""
         asked = RequestSafeState(
             device, reason, state="" if state == self._devices[device].safe_state else state
         )

@@ -1,7 +1,8 @@
 """Writes a parameter file of a ground station into one device (`lfield setup --apply`).
 
-The driver compares the file with the device; values that the binding forbids refuse the whole file. The old
-values are in a backup before the first write, and every written value is read back at the end.
+The driver compares the file with the device; a value that the binding forbids leads to the refusal of the
+whole file. The old values are in a backup before the first write, and every written value is read back at the
+end.
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ from lfield.devices.parameter_backup import BackupEntry, ParameterChange, write_
 from lfield.driver.settings import SettingsComparison, StoredSettings, is_same_value
 from lfield.errors import DeviceError, DevicesError, MissionFileError, UsageError
 
-#: The most names that one line lists.
+#: The maximum number of names in one line.
 _LISTED = 12
 
 
 class FilePlan(Struct, frozen=True):
-    """What a file changes in a device. Writes nothing."""
+    """The changes of a device by a file, before any write."""
 
     file: str
     found: FoundDevice
     comparison: SettingsComparison
 
     def lines(self) -> Iterator[str]:
-        """The differences, and what is left alone, for the user."""
+        """The differences, and the settings that are not changed, for the user."""
         comparison = self.comparison
         yield f"{self.found.name}, {self.found.label}, and {self.file}:"
         for change in comparison.changes:
@@ -55,7 +56,7 @@ async def plan_file(found: FoundDevice, file: str, data: bytes) -> FilePlan:
 
 
 def check_permitted(plan: FilePlan, report: Report) -> None:
-    """Reports why a file must not be written. Raises MissionFileError."""
+    """Reports the reasons why a file must not be written. Raises MissionFileError."""
     for reason in plan.comparison.refusals:
         report(f"{plan.found.name}: {reason}")
     if count := len(plan.comparison.refusals):
@@ -94,7 +95,7 @@ async def write_file(plan: FilePlan, folder: Path, when: str, report: Report) ->
 
 
 async def stored_values(found: FoundDevice, names: Sequence[str]) -> Mapping[str, float]:
-    """The present values of settings of a device, also of those that its binding does not need.
+    """The present values of settings of a device, including settings that its binding does not need.
 
     Raises DeviceError.
     """

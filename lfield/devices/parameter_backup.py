@@ -30,9 +30,9 @@ class ParameterChange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class BackupEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The settings of one device: when they were written (ISO 8601), which device, and its binding.
+    """The settings of one device: the time of writing (ISO 8601), the device, and its binding.
 
-    `serial` is the device's unique identifier, '' for none: then another device may have replaced it.
+    `serial` is the device's unique identifier, '' for none: another device may then have replaced it.
     """
 
     when: str
@@ -60,12 +60,16 @@ def device_label(identity: str, serial: str) -> str:
 
 
 def backup_folder(folder: Path | None) -> Path:
-    """The folder of the files: the given one, else the service's or user's own. Raises NoHomeFolder."""
+    """The folder of the files: the given one, otherwise the folder of the service or user. Raises
+    NoHomeFolder.
+    """
     return folder or state_dir()
 
 
 def write_backup(folder: Path, entries: Sequence[BackupEntry]) -> Path:
-    """Writes a new file `setup-NUMBER.json`; it is on the disk on return. Raises OutputFileError."""
+    """Writes a new file `setup-NUMBER.json`; the file is on disk when the function returns. Raises
+    OutputFileError.
+    """
     with lock_private_folder(folder):
         path = folder / f"setup-{max(_numbers(folder), default=0) + 1}.json"
         data = msgspec.json.format(msgspec.json.encode(_BackupFile(_VERSION, list(entries))), indent=1)

@@ -1,7 +1,7 @@
 """Restores the settings that devices had before `lfield setup`.
 
-A backup belongs to a device, not to its endpoint, where another device may be now: it is refused for a device
-with another unique identifier. A setting that has been changed since is left alone.
+A backup belongs to a device, not to its endpoint, at which another device may be now: the backup is refused
+for a device with another unique identifier. A setting that has been changed since then is not restored.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lfield.errors import DeviceError
 
 
 class RestorePlan(Struct, frozen=True):
-    """What is written to one device, and a sentence for each setting that is left alone."""
+    """The values to be written to one device, and a sentence for each setting that is not restored."""
 
     entry: BackupEntry
     found: FoundDevice
@@ -39,9 +39,8 @@ class RestorePlan(Struct, frozen=True):
 def plan_restore(
     entry: BackupEntry, found: FoundDevice, present: Mapping[str, float] | None = None
 ) -> RestorePlan:
-    """Compares the device at the endpoint of an entry with that entry. Writes nothing.
-
-    `present` are the values of its settings, by default those that its binding needs.
+    """Compares the device at the endpoint of an entry with the entry, without writing. `present` are the
+    values of its settings, by default of the settings that its binding needs.
     """
     if entry.serial and found.serial != entry.serial:
         there = f"{found.name}: {found.label} is now at {entry.binding.endpoint}, not {entry.label}"
@@ -62,7 +61,7 @@ def plan_restore(
 
 
 async def apply_restore(plan: RestorePlan, report: Report) -> list[str]:
-    """Executes a plan; returns a sentence for each setting that was left alone or could not be written."""
+    """Executes a plan; returns a sentence for each setting that was not restored or could not be written."""
     name, device = plan.found.name, plan.found.device
     try:
         if plan.writes:

@@ -26,7 +26,7 @@ from lfield.text.log_messages import LogLine
 
 #: Seconds between two heartbeats.
 HEARTBEAT_INTERVAL = 0.05
-#: Weight of the host's jitter: guards may be late too, unless they have real-time priority.
+#: The weight of the host's jitter: guards may also be late, unless they have real-time priority.
 NORMAL_FACTOR, REALTIME_FACTOR = 2.0, 1.5
 #: The longest silence of a binding, in seconds.
 MAX_SILENCE = 10.0
@@ -92,9 +92,9 @@ class JitterMonitor:
 
     def __init__(self, limit: JitterLimit) -> None:
         self.limit = limit
-        #: The maximum ever.
+        #: The maximum since the start.
         self.longest = 0.0
-        # Time and jitter of samples within the window, without those that a later one exceeds.
+        # Time and jitter of samples within the window, without samples that a later one exceeds.
         self._recent: deque[tuple[float, float]] = deque()
         self._warned_at, self._warned_of = -math.inf, 0.0
 
@@ -118,7 +118,7 @@ class JitterMonitor:
         return self.max_since(now - WINDOW)
 
     def explain_silence(self, now: float, due: float) -> str:
-        """Why a guard has missed the heartbeat that was `due`: this computer is the cause, not the
+        """The reason why a guard has missed the heartbeat that was `due`: this computer is the cause, not the
         vehicle.
         """
         late = max(self.max_since(now - self.limit.silence - MAX_REPORT_DELAY), now - due)
@@ -151,11 +151,11 @@ class HeartbeatJitter:
         return self._jitter.sample(due, now)
 
     def pause(self) -> None:
-        """No heartbeat is due until the next one is sent."""
+        """Marks that no heartbeat is due until the next one is sent."""
         self._due = math.inf
 
     def explain(self, reason: str, now: float) -> str:
-        """Why a guard has made a device safe; with the cause if this host was silent."""
+        """The reason why a guard has made a device safe; with the cause if this host was silent."""
         if reason != host_silent(self._jitter.limit.silence):
             return reason
         return f"{reason}, since {self._jitter.explain_silence(now, self._due)}"

@@ -17,7 +17,7 @@ from lfield.text.value_text import telemetry_text
 from lfield.vm.engine_interface import Reading
 from lfield.vm.memory.word_codec import bits_of_real
 
-#: Least seconds of silence after which a device with earlier messages counts as lost.
+#: The minimum seconds of silence after which a device with earlier messages counts as lost.
 SILENCE_LIMIT = 3.0
 #: Quantities in the description of a device's last condition.
 MAX_DESCRIBED = 4
@@ -40,7 +40,7 @@ class Snapshots:
         }
         self._observations: dict[tuple[str, str], Observation] = {}
         self._readings: dict[tuple[str, str], Reading] = {}
-        #: When each device last sent something, by name; absent before the first time.
+        #: The time of the last message of each device, by name; absent before the first one.
         self.last_contact: dict[str, float] = {}
         #: Devices under foreign control, such as a pilot's.
         self.received: set[str] = set()
@@ -90,10 +90,10 @@ class Snapshots:
         return self._observations.get((device, quantity))
 
     def silent_since(self, device: str) -> float | None:
-        """Since when a device is silent, if that is too long; else None.
+        """The time since when a device is silent, if this silence is too long; otherwise None.
 
-        Too long is the shortest `max_age` of its quantities, at least SILENCE_LIMIT. A device that has never
-        sent anything is not lost: some never do.
+        The limit is the shortest `max_age` of its quantities, at least SILENCE_LIMIT. A device that has never
+        sent a message is not lost: some devices never send any.
         """
         last = self.last_contact.get(device)
         if last is None or self._clock.monotonic() - last <= self._patience[device]:
@@ -135,5 +135,5 @@ class Snapshots:
 
 
 def _patience(quantities: Iterable[Quantity]) -> float:
-    """How long a device with these quantities may be silent, in seconds."""
+    """The seconds for which a device with these quantities may be silent."""
     return max(SILENCE_LIMIT, min((quantity.max_age for quantity in quantities), default=SILENCE_LIMIT))

@@ -1,8 +1,8 @@
 """The public interface for driver authors (docs/driver-authors.md); conformance kits also import
 `lfield.driver.kit`.
 
-A plugin provides a `Driver` with its `Device`s. Also here: their bindings, what they report, and the helper
-types.
+A plugin provides a `Driver` with its `Device`s. The package also has their bindings, their reports, and the
+helper types.
 """
 
 from lfield.clock import Clock

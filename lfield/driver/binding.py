@@ -22,7 +22,8 @@ OptionValue = bool | int | float | str | list[int | float | str]
 
 class OrphanPolicy(msgspec.Struct, frozen=True):
     """Brings a device into a safe state when no coordinator that used it has been reachable for `after`
-    seconds."""
+    seconds.
+    """
 
     after: float
     do: str
@@ -33,12 +34,13 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
 
     `ttl` is the time-to-live of a setpoint in seconds, and the longest time before a command starts. A
     stopped device must be at rest within `rest_within` seconds; otherwise the guard stops waiting and reports
-    it. `without_policy` is the reaction when every coordinator that used the device is unreachable (None: no
-    reaction). `limits` are in the SI units of the manifest; an absent limit does not apply. `options` are
-    specific to the driver (`system`, `kind`). `waivers` are the protections that the binding gives up,
-    `reasons` the reason for each. `frame` is the pose of the agent in the team's frame, None if unknown.
-    `sim` holds faults and conditions of the simulated device (`NAME=VALUE`) for simulated missions. `type` is
-    the device type in L. A pure sensor has no `safe_state`; its `ttl` and `rest_within` are ignored.
+    the device. `without_policy` is the reaction when every coordinator that used the device is unreachable
+    (None: no reaction). `limits` are in the SI units of the manifest; an absent limit does not apply.
+    `options` are specific to the driver (`system`, `kind`). `waivers` are the protections that the binding
+    gives up, `reasons` the reason for each. `frame` is the pose of the agent in the team's frame, None if
+    unknown. `sim` holds faults and conditions of the simulated device (`NAME=VALUE`) for simulated missions.
+    `type` is the device type in L. A pure sensor has no `safe_state`; its `ttl` and `rest_within` are
+    ignored.
     """
 
     agent: str
@@ -69,7 +71,7 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_sensor(self) -> bool:
-        """Whether it is a pure sensor, which needs no safe state."""
+        """Whether the device is a pure sensor, which needs no safe state."""
         return not self.safe_state
 
     def waives(self, protection: str) -> bool:
@@ -77,7 +79,9 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
         return protection in self.waivers
 
     def option(self, name: str) -> Any:
-        """The value of an option of the manifest; the loader fills in defaults, so it is always present."""
+        """The value of an option of the manifest; the loader fills in defaults, so there is always a
+        value.
+        """
         return self.options[name]
 
 

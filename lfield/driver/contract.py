@@ -1,4 +1,4 @@
-"""The contract of a driver as data: what L may call and what bindings may contain."""
+"""The contract of a driver as data: the instructions for L, and the contents of bindings."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ STANDARD_INSTRUCTIONS = (RELEASE, AGE)
 #: Key in `Manifest.fakes` for all resource types that are not listed.
 ANY = "any"
 
-#: Words in the names of resource types and agents that mean the same as a key of `Manifest.fakes`.
+#: Words in the names of resource types and agents that are synonyms of a key of `Manifest.fakes`.
 NAME_WORDS = {
     "Copter": ("drone", "uav", "multirotor", "quadrotor"),
     "Rover": ("truck", "ugv", "husky", "buggy", "tractor"),
 }
 
-#: Waiver of every device: it has no watchdog of its own, or one slower than required.
+#: The waiver that every device may have: it has no watchdog of its own, or one slower than required.
 WATCHDOG = "device_watchdog"
 
 
@@ -61,11 +61,11 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """A manifest file: the device type for L, and what its bindings may contain.
+    """A manifest file: the device type for L, and the permitted contents of its bindings.
 
     `fakes` are the options of a simulated device without a binding, by resource type of L or ANY. Waivers in
-    `reasoned` require a reason. `geographic` devices report where on the Earth their own frame begins, once
-    they know it.
+    `reasoned` require a reason. `geographic` devices report the position on the Earth of the origin of their
+    own frame, as soon as it is known.
     """
 
     device: DeviceManifest
@@ -100,7 +100,7 @@ class Manifest:
     def named_options(self, resource: str, agent: str) -> Mapping[str, OptionValue]:
         """The options that the names of a resource type or of its agent suggest; the type has priority.
 
-        A suggestion is weaker than `resource_options`: a binding may contradict it.
+        A suggestion has a lower priority than `resource_options`: a binding may contradict it.
         """
         return self.resource_options(resource) or self._suggested(resource) or self._suggested(agent)
 
@@ -114,7 +114,9 @@ class Manifest:
         return self.fakes[like[0]] if len(like) == 1 else {}
 
     def undecided_options(self, resource: str, agent: str) -> list[Option]:
-        """The options that the resource type should decide, where neither it nor the agent's id does."""
+        """The options that the resource type should determine, if neither the type nor the agent's id
+        determines them.
+        """
         if ANY in self.fakes or self.named_options(resource, agent):
             return []
         chosen = {key for options in self.fakes.values() for key in options}
@@ -144,7 +146,7 @@ class Reports(Protocol):
         """Publishes current values of telemetry quantities."""
 
     def heard(self, device: str) -> None:
-        """Records that the device has sent something."""
+        """Records that the device has sent a message."""
 
     def note(self, device: str, text: str) -> None:
         """Writes one sentence into the log of the host."""

@@ -3,7 +3,7 @@
 Callers use the public methods. Authors override the methods with a leading underscore and write one coroutine
 per instruction of the manifest (`goTo` -> `do_go_to`).
 
-Everything runs on the event loop of the guard process and must not block: the guard's timers run there too.
+All code runs on the event loop of the guard process and must not block: the guard's timers also run there.
 Call a blocking vendor library through `asyncio.to_thread`.
 """
 
@@ -55,22 +55,23 @@ class Device:
     Authors override `_open` and, except for a pure sensor, `_make_safe`. Optional: `_set_watchdog` (the
     device has a watchdog), `_touched` (opening starts with queries only), `_moving` (coming to rest takes
     time), `_taken_over` and `_guard_restarted` (others may control the device), `_safe_action` (the log names
-    another action than the safe state), `_frame` (its own frame differs from its binding), `_settings`,
+    an action other than the safe state), `_frame` (its own frame differs from its binding), `_settings`,
     `_write_setting`, `_in_use` and `_serial` (it stores settings that a binding needs).
 
     A device with many instructions may have `parts`: objects created in its constructor, whose `do_...`
-    methods are used as well. A part receives what it needs (often the device), keeps its own state and can be
-    tested alone.
+    methods are used as well. A part receives the objects that it needs (often the device), keeps its own
+    state and can be tested alone.
     """
 
     #: Objects that implement further instructions; each instruction is implemented once.
     parts: Sequence[object] = ()
-    #: A real beyond it in an instruction is refused: its wire cannot transmit it.
+    #: The largest magnitude of a real in an instruction; the wire cannot transmit a larger one, which is
+    #: refused.
     largest = math.inf
 
     def __init__(self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports) -> None:
         self.binding, self.manifest, self.clock = binding, manifest, clock
-        #: The last safe state commanded; initially that of its binding.
+        #: The last safe state commanded; initially the one of the binding.
         self.safe_state = binding.safe_state
         self._reports = reports
         self._types = {quantity.name: quantity.type for quantity in manifest.device.telemetry}
@@ -99,15 +100,14 @@ class Device:
         return await self._open()
 
     def touched(self) -> bool:
-        """Whether opening may have changed the device so far; False while it was only queried.
-
-        If the guard must end meanwhile, it leaves an untouched device alone; otherwise it completes the
+        """Whether opening may have changed the device so far; False while the device was only queried. If the
+        guard must end during the opening, it does not change an untouched device; otherwise it completes the
         opening and makes the device safe.
         """
         return self._touched()
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
-        """Executes an instruction and returns its result. Raises DeviceError if it was not executed."""
+        """Executes an instruction and returns its result. Raises DeviceError if this fails."""
         call = self._calls.get(instruction) or self._call(instruction)
         values: list[object] = [c(value) for c, value in zip(call.arguments, arguments, strict=True)]
         if exceeds(values, self.largest):
@@ -133,43 +133,44 @@ class Device:
         return call
 
     def safe_actions(self) -> dict[str, str]:
-        """What it does in its safe states, by state, where that is not what the name of the state says."""
+        """The actions of the device in its safe states, by state, if they differ from its name."""
         actions = {state: self._safe_action(state) for state in self.manifest.device.safe_states}
         return {state: action for state, action in actions.items() if action != state}
 
     def _safe_action(self, state: str) -> str:
-        """What it does in a safe state, for the log: a rover that cannot land holds."""
+        """The action of the device in a safe state, for the log: a rover that cannot land holds."""
         return state
 
     async def make_safe(self, state: str = "") -> None:
-        """Brings it into a safe state ('': that of its binding) and confirms it. Raises DeviceError."""
+        """Brings the device into a safe state ('': that of its binding) and confirms it. Raises
+        DeviceError.
+        """
         self.safe_state = state or self.binding.safe_state
         await self._make_safe(self.safe_state)
 
     def moving(self) -> str:
-        """How it still moves in its safe state, such as `4.2 m up, sinking at 0.7 m/s`; '' at rest.
+        """The remaining motion in the safe state, such as `4.2 m up, sinking at 0.7 m/s`; '' at rest.
 
-        Called a few times per second: uses known data, sends nothing and never waits. A device under foreign
-        control is not at rest while it moves.
+        Called a few times per second: uses known data, sends no message and never waits. A device under
+        foreign control is not at rest while it moves.
         """
         return self._moving()
 
     def taken_over(self) -> bool:
-        """Whether it is under foreign control, such as a pilot's, who is then responsible for its safety."""
+        """Whether the device is under foreign control, such as a pilot's, who is then responsible for it."""
         return self._taken_over()
 
     def guard_restarted(self, was_taken_over: bool) -> None:
-        """Called when it was opened again after its guard died; its safe state follows.
-
-        Its present motion counts as commanded by the program unless it `was_taken_over` before.
+        """Called when the device was opened again after its guard died; the safe state follows. The present
+        motion counts as commanded by the program unless the device `was_taken_over` before.
         """
         self._guard_restarted(was_taken_over)
 
     async def check_watchdog(self) -> None:
-        """Sets its watchdog, which stops the device when this computer fails.
+        """Sets the watchdog of the device, which stops it when this computer fails.
 
-        Its time-out may be twice the guard's. If that is impossible, the binding needs the waiver. Not for
-        sensors. Raises DeviceError.
+        The time-out may be twice that of the guard. If this is impossible, the binding needs the waiver.
+        Sensors need no watchdog. Raises DeviceError.
         """
         if self.binding.is_sensor:
             return
@@ -188,11 +189,11 @@ class Device:
         self.note(log_messages.WATCHDOG_WAIVED.line(own=own, longest=longest))
 
     async def settings(self) -> Sequence[Setting]:
-        """The stored settings that its binding needs, with their present values. Raises DeviceError."""
+        """The stored settings that the binding needs, with their present values. Raises DeviceError."""
         return await self._settings()
 
     async def check_settings(self) -> None:
-        """Raises DeviceNotSetUp if stored settings do not match the binding; writes nothing."""
+        """Raises DeviceNotSetUp if stored settings do not match the binding, without a write."""
         if not_right := mismatched(await self._settings()):
             for setting in not_right:
                 self.note(log_messages.SETTING_MISMATCH.line(setting=setting, reason=setting.why))
@@ -200,11 +201,11 @@ class Device:
             raise DeviceNotSetUp(self.binding.field, f"it is not set up for its binding: {text}")
 
     async def serial(self) -> str:
-        """Its permanent unique identifier, such as `uid 3f21`; '' if it has none. Raises DeviceError."""
+        """The permanent unique identifier, such as `uid 3f21`; '' for none. Raises DeviceError."""
         return await self._serial()
 
     async def write_setting(self, name: str, value: float) -> None:
-        """Writes one stored setting and reads it back. Raises DeviceError, also while it is in use."""
+        """Writes one stored setting and reads it back. Raises DeviceError, also during use of the device."""
         self.check_idle()
         await self._write_setting(name, value)
 
@@ -216,14 +217,14 @@ class Device:
     def publish(self, **values: object) -> None:
         """Publishes current telemetry values, converted to the team's frame.
 
-        Values that refer to the team's frame are omitted while the pose of its own frame is unknown.
+        Values that refer to the team's frame are omitted while the pose of the device's own frame is unknown.
         """
         if not self._in_frame.keys().isdisjoint(values):
             values = values_to_team(self._in_frame, values, self._frame())
         self._reports.publish(self.binding.name, {n: conform(v, self._types[n]) for n, v in values.items()})
 
     def heard(self) -> None:
-        """Records that the device has sent something."""
+        """Records that the device has sent a message."""
         self._reports.heard(self.binding.name)
 
     def note(self, text: str) -> None:
@@ -234,13 +235,13 @@ class Device:
         self._reports.note(self.binding.name, text)
 
     def breach(self, reason: str) -> None:
-        """Reports that it exceeds a limit and cannot be corrected: the guard holds it safe. No effect while
-        it is latched; the first reason is kept.
+        """Reports that the device exceeds a limit and cannot be corrected: the guard holds it safe. Without
+        effect while it is latched; the first reason is kept.
         """
         self._reports.breach(self.binding.name, reason)
 
     def lock_out(self, reason: str) -> None:
-        """Holds it safe (after a crash, for example) until an operator calls `lfield estop --lift`."""
+        """Holds the device safe, such as after a crash, until an operator calls `lfield estop --lift`."""
         self._reports.lock_out(self.binding.name, reason)
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
@@ -249,7 +250,7 @@ class Device:
         return DeviceError(self.binding.field, reason, kind=kind)
 
     async def do_release(self) -> None:
-        """Called when the program releases the latch; most devices have nothing to do."""
+        """Called when the program releases the latch; most devices need no action."""
 
     async def _open(self) -> str:
         raise NotImplementedError
@@ -262,9 +263,9 @@ class Device:
         raise NotImplementedError
 
     def _frame(self) -> Frame | None:
-        """The pose of its own frame in the team's frame, None while unknown.
+        """The pose of the device's own frame in the team's frame, None while unknown.
 
-        Override it for a device that locates itself on the Earth, or whose frame moves.
+        Override this method for a device that locates itself on the Earth, or whose frame moves.
         """
         return None if self.binding.frame is None else self.binding.frame.pose
 
@@ -283,13 +284,12 @@ class Device:
         """Sets the device's own watchdog to at most `longest` seconds, or to its smallest value.
 
         Returns the value read back in seconds, None without a watchdog. Raises DeviceError. A watchdog in
-        persistent memory is not written here: it is one of `_settings`, and the value that it needs is
-        returned.
+        persistent memory is not written here: it is one of `_settings`, and its required value is returned.
         """
         return None
 
     async def _settings(self) -> Sequence[Setting]:
-        """See `settings`; most devices store nothing that a binding needs."""
+        """See `settings`; most devices store no setting that a binding needs."""
         return ()
 
     async def _serial(self) -> str:
@@ -301,7 +301,7 @@ class Device:
         raise NotImplementedError
 
     def _in_use(self) -> str:
-        """Why its settings must not be changed now, such as `its motors are on`; '' if they may."""
+        """The reason why the settings must not change now, such as `its motors are on`; '' if they may."""
         return ""
 
 
@@ -321,7 +321,7 @@ class Driver:
     ) -> None:
         self.bindings, self.endpoint = tuple(bindings), bindings[0].endpoint
         self.manifests, self.clock, self.reports = manifests, clock, reports
-        #: The log of what it sends and receives.
+        #: The log of sent and received data.
         self.wire_log = WireLog(clock)
         self._tasks: set[asyncio.Task[None]] = set()
         self._set_up()
@@ -338,7 +338,7 @@ class Driver:
         await self._close()
 
     def quiet(self) -> None:
-        """Stops everything that feeds a device's own watchdog: the host does not respond."""
+        """Stops all messages that feed a device's own watchdog, because the host does not respond."""
         self._quiet()
 
     def resume(self) -> None:
@@ -357,7 +357,7 @@ class Driver:
             self.reports.crashed(error)
 
     def _set_up(self) -> None:
-        """Creates what the devices share, before they are created."""
+        """Creates objects that the devices share, before the devices are created."""
 
     def _device(self, binding: DeviceBinding) -> Device:
         raise NotImplementedError

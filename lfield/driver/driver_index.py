@@ -1,7 +1,7 @@
-"""Metadata of a driver, without its code: enough to run its devices behind a guard.
+"""Metadata of a driver without its code, sufficient to run its devices behind a guard.
 
-Read from the installed plugins on the development computer (`plugins.discover`). A bundle carries it to the
-robots, which only check that the installed driver has the same name and contract.
+Read from the installed plugins on the development computer (`plugins.discover`). A bundle transports them to
+the robots, which only check that the installed driver has the same name and contract.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class DriverIndex:
 def installed_drivers(
     drivers: DriverLookup, names: Collection[str], entries: Iterable[EntryPoint] | None = None
 ) -> DriverIndex:
-    """The named drivers with their import paths on this computer. Imports nothing.
+    """The named drivers with their import paths on this computer, without an import.
 
     Raises PluginError for a driver that is not installed.
     """

@@ -1,8 +1,8 @@
 """The team's frame (metres north, east and down of one origin) and the pose of a device's own frame in it.
 
-A vehicle measures positions from where it was switched on or armed. A devices file gives the pose of that
-place (`frame`); all positions in a program then refer to the team's origin. `Device` converts what the
-manifest marks with a kind of `lfield.manifest`:
+A vehicle measures positions from the place at which it was switched on or armed. A devices file gives the
+pose of that place (`frame`); all positions in a program then refer to the team's origin. `Device` converts
+what the manifest marks with a kind of `lfield.manifest`:
 
     place       north, east, down in metres: three (or two) parameters in a row, or an array of them
     direction   rotated, not translated: velocities
@@ -41,13 +41,13 @@ class Frame(Protocol):
 
     @property
     def heading(self) -> float:
-        """Direction of its own north in the team's frame."""
+        """The direction of this frame's north in the team's frame."""
 
     def to_team(self, place: Vector) -> Vector:
-        """A position of its own frame, in the team's frame."""
+        """The position in the team's frame of a position in this frame."""
 
     def from_team(self, place: Vector) -> Vector:
-        """A position of the team's frame, in its own frame."""
+        """The position in this frame of a position in the team's frame."""
 
 
 class Pose(msgspec.Struct, frozen=True):
@@ -59,12 +59,12 @@ class Pose(msgspec.Struct, frozen=True):
     heading: float = 0.0
 
     def to_team(self, place: Vector) -> Vector:
-        """A position of its own frame, in the team's frame."""
+        """The position in the team's frame of a position in this frame."""
         north, east, down = rotated(place, self.heading)
         return (self.north + north, self.east + east, self.down + down)
 
     def from_team(self, place: Vector) -> Vector:
-        """A position of the team's frame, in its own frame."""
+        """The position in this frame of a position in the team's frame."""
         offset = (place[0] - self.north, place[1] - self.east, place[2] - self.down)
         return rotated(offset, -self.heading)
 
@@ -115,7 +115,7 @@ def values_to_team(
 ) -> dict[str, object]:
     """Telemetry converted to the team's frame; `kinds` are the quantities that refer to it.
 
-    They are omitted while the pose of the device's own frame is unknown.
+    Quantities are omitted while the pose of the device's own frame is unknown.
     """
     if frame is None:
         return {name: value for name, value in values.items() if name not in kinds}
@@ -140,7 +140,7 @@ def _array(kind: str, values: list[object], frame: Frame, *, back: bool) -> list
 
 
 def _converted(kind: str, row: Sequence[object], frame: Frame, *, back: bool) -> list[float]:
-    """Converts one position or direction of up to three numbers; missing ones are 0."""
+    """Converts one position or direction of up to three numbers; missing numbers are 0."""
     numbers = [_number(each) for each in row]
     north, east, down = [*numbers, 0.0, 0.0, 0.0][:3]
     offset = (north, east, down)

@@ -13,8 +13,8 @@ async def turns(bench: Bench) -> str:
 
 ```
 
-A check returns a description of what it has observed. It raises DeviceError or CheckFailed when it fails, and
-NotTried when it does not apply. A check that can move something or change a setting declares `moves=True`; it
+A check returns a description of its observations. It raises DeviceError or CheckFailed when it fails, and
+NotTried when it does not apply. A check that can move a device or change a setting declares `moves=True`; it
 runs only with the user's consent.
 """
 
@@ -37,15 +37,15 @@ BOUND, SAFE = 60.0, 20.0
 
 
 class CheckFailed(Exception):
-    """An expected behaviour was not observed; the sentence says which."""
+    """An expected behaviour, stated in the sentence, was not observed."""
 
 
 class NotTried(Exception):
-    """The check does not apply to this binding; the sentence says why."""
+    """The check does not apply to this binding, for the reason in the sentence."""
 
 
 class Bench(Protocol):
-    """One device behind its guard, as a check uses it."""
+    """The interface of a check to one device behind its guard."""
 
     binding: DeviceBinding
     manifest: Manifest
@@ -89,14 +89,14 @@ class Bench(Protocol):
         """Requests the safe state and waits until it is confirmed. Raises CheckFailed."""
 
     async def fall_silent(self, seconds: float) -> None:
-        """Stops the host's heartbeats for so many seconds."""
+        """Stops the host's heartbeats for `seconds` seconds."""
 
     async def kill_guard(self) -> None:
         """Kills the guard process and waits until its successor has opened the device."""
 
     @property
     def latched(self) -> str:
-        """Why the device is latched in its safe state, '' when it is not."""
+        """The reason why the device is latched in its safe state, '' when it is not."""
 
     @property
     def confirmed(self) -> bool:
@@ -104,7 +104,7 @@ class Bench(Protocol):
 
     @property
     def moving(self) -> str | None:
-        """How the device still moves in its safe state; '' at rest, None when unknown."""
+        """The remaining motion of the device in its safe state; '' at rest, None when unknown."""
 
 
 CheckFunction = Callable[[Bench], Awaitable[str]]
@@ -120,7 +120,7 @@ class Check:
     types: tuple[str, ...] = ()
 
     def suits(self, device_type: str) -> bool:
-        """Whether it applies to devices of this type."""
+        """Whether the check applies to devices of this type."""
         return not self.types or device_type in self.types
 
 
@@ -143,7 +143,7 @@ class Kit:
 
 
 async def refused(bench: Bench, instruction: str, *arguments: object) -> str:
-    """The reason for which an instruction is refused. Raises CheckFailed when it is executed."""
+    """The reason for which an instruction is refused. Raises CheckFailed if the instruction is executed."""
     try:
         await bench.call(instruction, *arguments)
     except DeviceError as error:
@@ -154,7 +154,7 @@ async def refused(bench: Bench, instruction: str, *arguments: object) -> str:
 
 async def held(bench: Bench, bound: float) -> str:
     """Waits until the device is latched, at most `bound` seconds, and in its confirmed safe state; then
-    releases it. Returns why it was latched. Raises CheckFailed.
+    releases it. Returns the reason why it was latched. Raises CheckFailed.
     """
     await bench.until(lambda: bool(bench.latched), bound, "the device to go safe")
     reason = bench.latched
@@ -164,11 +164,11 @@ async def held(bench: Bench, bound: float) -> str:
 
 
 async def cancelled(bench: Bench, begun: Callable[[], bool], instruction: str, *arguments: object) -> str:
-    """Cancels an instruction as soon as `begun` holds; returns how it ended.
+    """Cancels an instruction as soon as `begun` holds; returns its outcome.
 
-    An instruction with `cancel: never` runs to its end. Any other must end within SAFE seconds, as its
-    manifest says, and leave the device free; the caller checks the resulting motion. Raises CheckFailed, and
-    DeviceError.
+    An instruction with `cancel: never` runs to its end. Any other instruction must end within SAFE seconds,
+    as its manifest prescribes, and leave the device free; the caller checks the resulting motion. Raises
+    CheckFailed, and DeviceError.
     """
     declared = bench.manifest.device.instruction(instruction)
     assert declared is not None, "a kit contains instructions of its device only"
@@ -217,7 +217,9 @@ async def rested(bench: Bench) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of one check on one device: what it observed, or why it failed or did not run."""
+    """The result of one check on one device: the observation, or the reason why the check failed or did not
+    run.
+    """
 
     device: str
     check: str

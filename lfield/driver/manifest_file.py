@@ -24,17 +24,17 @@ telemetry:                          # each is also a query of the same name: `s.
 ```
 
 A non-blocking instruction of effect `actuate` is a *setpoint*: it stays in effect after the call has
-returned, so the guard gives it a time-to-live. A blocking `query` asks the device itself.
+returned, so the guard gives it a time-to-live. A blocking `query` queries the device itself.
 
 A newer instruction replaces an older one on the same channel; channels are independent. A blocking
 instruction that acts declares what `cancel` does: the name of an instruction that is executed instead (same
-channel, no parameters, blocking); `never`, for one that must be completed (a landing) or is short; or
-`leave`, which only stops waiting.
+channel, no parameters, blocking); `never`, for an instruction that must be completed (a landing) or is short;
+or `leave`, which only stops waiting.
 
-`frame` says how a parameter or quantity refers to the team's frame: `place`, `direction` or `heading`
-(`lfield.driver.frame`). A device with `geographic: true` knows the origin of its own frame on the Earth.
-A device without safe states is a pure sensor: all its instructions are queries, and it is never latched.
-Every device type also has `release()` and `age()`, which no manifest declares.
+`frame` defines how a parameter or quantity refers to the team's frame: `place`, `direction` or `heading`
+(`lfield.driver.frame`). A device with `geographic: true` knows the origin of its own frame on the Earth. A
+device without safe states is a pure sensor: all its instructions are queries, and it is never latched. Every
+device type also has `release()` and `age()`, which no manifest declares.
 """
 
 from __future__ import annotations
@@ -65,15 +65,15 @@ from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlList, YamlNode, YamlScalar, decode
 from lfield.units import is_unit, suggestion
 
-#: Number of parsed manifests that are kept. A command looks for drivers several times, and parsing their
-#: manifests takes most of that.
+#: Number of parsed manifests that are kept. A command searches drivers several times, and most of this time
+#: is spent on parsing their manifests.
 MAX_CACHED = 64
 
 #: L types of options; a path is relative to the folder of the devices file, and one number is a `real[]` too.
 OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "real[]", "string[]")
 
 _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
-#: Keys of bindings need not be names in L.
+#: The form of the keys of bindings, which need not be names in L.
 _KEY = re.compile(r"[a-z][A-Za-z0-9_]*")
 #: Hint for a missing or wrong `cancel`.
 _CANCEL = (
@@ -85,7 +85,9 @@ _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 @lru_cache(MAX_CACHED)
 def load_manifest(name: str, data: bytes) -> Manifest:
-    """Parses a manifest; equal bytes only once. Raises PluginError with every finding and its source line."""
+    """Parses a manifest; equal bytes are parsed only once. Raises PluginError with every finding and its
+    source line.
+    """
     found = Diagnostics()
     node = decode(name, data, found)
     manifest = _manifest(node, found) if node is not None else None
@@ -155,7 +157,7 @@ def _check_cancels(top: YamlFields, instructions: Mapping[str, Instruction]) -> 
 
 
 def _cannot_end(instruction: Instruction, instructions: Mapping[str, Instruction]) -> str:
-    """Why the instruction named by `cancel` is not suitable; '' when it is."""
+    """The reason why the instruction named by `cancel` is not suitable; '' when it is."""
     if instruction.cancel in (NEVER, LEAVE):
         return ""
     end = instructions.get(instruction.cancel)
@@ -308,7 +310,7 @@ def _unit(fields: YamlFields) -> str:
 
 
 def _frame(fields: YamlFields, kind: str) -> str:
-    """How a value refers to the team's frame; only a real or an array of reals can."""
+    """The reference of a value to the team's frame, which only a real or an array of reals can have."""
     frame = fields.text("frame", choices=FRAME_KINDS)
     if frame and kind not in ("real", "real[]"):
         fields.report(

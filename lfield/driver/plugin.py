@@ -1,4 +1,4 @@
-"""What a plugin's package offers under its entry point: import paths only, so that discovery is cheap.
+"""The data of a plugin's package under its entry point: import paths only, so that discovery is quick.
 
 Only `read_manifests` reads YAML, on the development computer. A guard receives its manifests from its host,
 and checks that they match those of the installed driver.
@@ -32,12 +32,12 @@ class Plugin:
 
     `package` holds a manifest for each device type, the folder `L` with the L sources that missions include
     as `<servo/gripper.L>`, and optionally `capabilities.yaml` for these. `driver` is the path of the driver's
-    class and `kit` that of its conformance kit (`package.kit:KIT`); both are imported only where they run.
-    `extra` is the extra of lfield that installs the vendor modules in `requires`, '' for a third-party
+    class and `kit` the path of its conformance kit (`package.kit:KIT`); both are imported only where they
+    run. `extra` is the extra of lfield that installs the vendor modules in `requires`, '' for a third-party
     driver.
 
-    Five optional functions run when missions are built and open nothing ('' for none). `endpoint` parses the
-    text of an endpoint and raises DeviceError for an invalid one. `conflicts` takes all bindings of the
+    Five optional functions run when missions are built, and open no device ('' for none). `endpoint` parses
+    the text of an endpoint and raises DeviceError for an invalid one. `conflicts` takes all bindings of the
     driver in a mission and returns those that exclude others, each with a sentence. `files` takes the name of
     an option of type `path` and the file and returns the mistakes in the file, each with its position; it
     raises DeviceError for a file that cannot be read. `plans` takes the name and the bytes of a mission file
@@ -80,7 +80,7 @@ class Plugin:
             raise PluginError(f"driver '{self.name}' has no readable {file}: {error}") from None
 
     def manifest_digest(self, file: str) -> bytes:
-        """SHA-256 of a manifest file, which identifies the version of the driver's contract."""
+        """The SHA-256 of a manifest file, which identifies the version of the driver's contract."""
         return hashlib.sha256(self.manifest_bytes(file)).digest()
 
     def has_manifest(self, file: ManifestFile) -> bool:
@@ -99,8 +99,8 @@ class Plugin:
         return read
 
     def _manifest(self, file: str) -> Manifest:
-        # Imported here: only the development computer reads manifests, but every driver process loads this
-        # module.
+        # Imported here, because only the development computer reads manifests, but every driver process loads
+        # this module.
         from lfield.driver.manifest_file import load_manifest
 
         manifest = load_manifest(f"{self.package}/{file}", self.manifest_bytes(file))
@@ -110,7 +110,7 @@ class Plugin:
 
     @property
     def capabilities(self) -> Path | None:
-        """Its capability registry file, None when it has none."""
+        """The capability registry file of the plugin, None without one."""
         from importlib.resources import files
 
         path = Path(str(files(self.package))) / "capabilities.yaml"
@@ -130,7 +130,9 @@ class Plugin:
         return sorted(path.name for path in (Path(str(files(self.package))) / "L").glob("*.L"))
 
     def load(self) -> type[Driver]:
-        """Imports the driver class with its vendor library. Raises PluginError that says what to install."""
+        """Imports the driver class with its vendor library. Raises PluginError that names the package to
+        install.
+        """
         driver: type[Driver] = self._load(self.driver)
         return driver
 
@@ -143,12 +145,12 @@ class Plugin:
         return self._load(self.kit)
 
     def why_no_endpoint(self, text: str) -> str:
-        """Why a text is not a valid endpoint; '' when it is, or when only opening it would show.
+        """The reason why a text is not a valid endpoint; '' if it is, or if only opening it would show this.
 
         Raises PluginError if the driver itself fails.
         """
         if not self.endpoint or self.missing:
-            return ""  # The development computer may lack the vendor modules of its robots.
+            return ""  # The vendor modules of its robots may be missing on the development computer.
         parse = self._named(self.endpoint)
         try:
             parse(text)
@@ -187,7 +189,7 @@ class Plugin:
             raise PluginError(f"driver '{self.name}' cannot read {file}: {error}") from error
 
     def read_plan(self, name: str, data: bytes, request: PlanRequest) -> PlanReport:
-        """What a mission file contains, checked for a vehicle.
+        """The contents of a mission file, checked for a vehicle.
 
         Raises MissionFileError, PluginError without such a function or without its vendor modules.
         """
@@ -220,7 +222,7 @@ class Plugin:
         module, _, name = path.partition(":")
         try:
             return getattr(importlib.import_module(module), name)
-        except Exception as error:  # third-party code: an import may raise anything
+        except Exception as error:  # third-party code: an import may raise any exception
             raise PluginError(f"driver '{self.name}' cannot be loaded from {path}: {error}") from error
 
 
@@ -271,13 +273,13 @@ def mistakes_in(known: DriverInfo, option: str, file: str) -> list[Diagnostic]:
 
 
 def why_no_endpoint(known: DriverInfo, text: str) -> str:
-    """Why a text is not a valid endpoint of a driver; '' when it is, or the driver is not installed."""
+    """The reason why a text is no valid endpoint of a driver; '' if it is, or the driver is not installed."""
     plugin = _installed(known)
     return plugin.why_no_endpoint(text) if plugin is not None else ""
 
 
 def _installed(known: DriverInfo) -> Plugin | None:
-    """The plugin of a driver; None if it is not installed, as may be on the development computer."""
+    """The plugin of a driver; None if it is not installed, which is possible on the development computer."""
     try:
         return load_plugin(known.reference)
     except PluginError:

@@ -73,13 +73,13 @@ class Plugins:
         """The file of `include <driver/name.L>;`, or None when no installed driver ships it."""
         driver, _, file = path.partition("/")
         found = self.by_driver.get(driver)
-        # A plain file name only: the path must not leave the folder.
+        # Only a plain file name is accepted, because the path must not leave the folder.
         if found is None or PurePosixPath(file).name != file or file in ("", ".", ".."):
             return None
         return found.plugin.source(file)
 
     def add(self, reference: str, distribution: str = "") -> None:
-        """Adds a plugin, or records why it cannot be used. Raises PluginError on a duplicate name.
+        """Adds a plugin, or records the reason why it cannot be used. Raises PluginError on a duplicate name.
 
         With duplicates the meaning of a program would be ambiguous. `distribution` is the installed package.
         """

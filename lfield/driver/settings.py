@@ -39,7 +39,7 @@ def is_same_value(one: float, other: float) -> bool:
 
 
 def mismatched(settings: Sequence[Setting]) -> list[Setting]:
-    """The settings that have a wrong value."""
+    """The settings with a wrong value."""
     return [setting for setting in settings if not setting.is_right]
 
 
@@ -57,8 +57,8 @@ class SettingsComparison:
     """A file with settings compared with a device.
 
     `changes` are in the order of the file. `unknown` are names that the device does not have, `kept` names
-    that the device sets itself; neither is written. `refusals` are sentences: why the file must not be
-    written. `restart` are the names of changes that take effect after a restart, as far as known.
+    that the device sets itself; neither is written. `refusals` are sentences with the reasons why the file
+    must not be written. `restart` are the names of changes that take effect after a restart, as far as known.
     """
 
     changes: Sequence[SettingChange] = ()
@@ -70,10 +70,12 @@ class SettingsComparison:
 
 @runtime_checkable
 class StoredSettings(Protocol):
-    """A device with stored settings that files of other programs contain (optional, beside `Device`)."""
+    """A device with stored settings that files of other programs contain (optional, in addition to
+    `Device`).
+    """
 
     async def stored_settings(self, names: Iterable[str]) -> Mapping[str, float]:
-        """The present values; unknown names are left out. Raises DeviceError."""
+        """The present values; unknown names are omitted. Raises DeviceError."""
 
     async def compare_settings(self, file: str, data: bytes) -> SettingsComparison:
         """The differences of a file. Raises MissionFileError if it is not readable, DeviceError."""

@@ -1,6 +1,6 @@
 """Simulated devices ("fakes" in names of code), found by the entry-point group `lfield.sims.v1`.
 
-`python -m lfield.driver.sims package.module:SIM ...` runs one, as the host does for `--sim`.
+`python -m lfield.driver.sims package.module:SIM ...` runs a simulated device, as the host does for `--sim`.
 """
 
 from __future__ import annotations
@@ -36,12 +36,14 @@ class Sim(Protocol):
     help: str
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Adds its options to a command line; they include `--listen` and `--until-stdin-closes`."""
+        """Adds the options of the simulated device to a command line; they include `--listen` and
+        `--until-stdin-closes`.
+        """
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
         """The options that simulate a bus with these devices, on a free port.
 
-        Devices are named as their bindings are, so that faults can be set by that name.
+        Devices are named as their bindings are, so that faults can be set by this name.
         """
 
     def run(self, args: argparse.Namespace) -> int:
@@ -56,7 +58,7 @@ class SimOnLoop(Sim, Protocol):
     """A simulated device that can run on an existing event loop, for tests of missions."""
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """As `run`, but on the loop's time only: no thread, clock or file."""
+        """Serves as `run` does, but only on the loop's time: without a thread, clock or file."""
 
 
 class Sims(dict[str, Sim]):
@@ -71,7 +73,9 @@ class Sims(dict[str, Sim]):
         self.problems: list[str] = []
 
     def add(self, reference: str) -> None:
-        """Adds a simulated device, or records why it is unusable. Raises PluginError on a duplicate name."""
+        """Adds a simulated device, or records the reason why it is unusable. Raises PluginError on a
+        duplicate name.
+        """
         try:
             sim = load_sim(reference)
         except PluginError as error:
@@ -95,7 +99,7 @@ def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
 
 def installed() -> list[EntryPoint]:
     """The entry points of the installed simulated devices."""
-    # Imported here: it is slow to load and a host without simulated devices does not need it.
+    # Imported here, because the module loads slowly and a host without simulated devices does not need it.
     from importlib.metadata import entry_points
 
     return list(entry_points(group=GROUP))
@@ -104,7 +108,7 @@ def installed() -> list[EntryPoint]:
 def sims_of(drivers: Collection[str]) -> Sims:
     """The simulated devices of some drivers; others are not imported. Raises PluginError on duplicate names.
 
-    Simulated devices are registered under the names of their drivers; if one is missing, all are examined.
+    Simulated devices are registered under the names of their drivers; if a driver has none, all are examined.
     """
     entries = installed()
     sims = discover_sims(entry for entry in entries if entry.name in drivers)
@@ -114,13 +118,13 @@ def sims_of(drivers: Collection[str]) -> Sims:
 def control_folder() -> Path:
     """The folder for the fault-injection sockets of running simulated devices; created on demand.
 
-    Raises OutputFileError when no folder is protected from other users.
+    Raises OutputFileError if no folder is protected from other users.
     """
     return private_runtime_dir(_SOCKET_DIR)
 
 
 def control_sockets() -> list[Path]:
-    """The sockets of this user's simulated devices, including those that were killed."""
+    """The sockets of this user's simulated devices, including those of killed devices."""
     base = runtime_dir()
     with suppress(OSError), open_private_folder(base), open_private_folder(base / _SOCKET_DIR):
         return sorted((base / _SOCKET_DIR).glob("*.sock"))
@@ -132,7 +136,7 @@ def load_sim(reference: str) -> Sim:
     module, _, name = reference.partition(":")
     try:
         sim = getattr(importlib.import_module(module), name)
-    except Exception as error:  # third-party code: an import may raise anything
+    except Exception as error:  # third-party code: an import may raise any exception
         raise PluginError(f"the simulated device '{reference}' cannot be imported: {error}") from error
     if not isinstance(sim, Sim):
         raise PluginError(f"the simulated device '{reference}' is not an lfield.driver.sims.Sim")

@@ -90,7 +90,7 @@ async def non_finite(bench: Bench) -> str:
 
 @KIT.check("the safe state is latched until release", moves=True)
 async def latch(bench: Bench) -> str:
-    """The safe state is confirmed; nothing moves before release(); afterwards the device is free."""
+    """The safe state is confirmed; the device does not move before release(); afterwards it is free."""
     _has_safe_state(bench)
     await bench.make_safe()
     acting = next((i for i in bench.manifest.device.instructions if _acts(i)), None)
@@ -106,7 +106,7 @@ async def latch(bench: Bench) -> str:
 
 @KIT.check("it comes to rest in its safe state", moves=True)
 async def rest(bench: Bench) -> str:
-    """The driver reports rest within `rest_within` of its binding; a stop waits for that."""
+    """The driver reports rest within `rest_within` of its binding; a stop waits for it."""
     _has_safe_state(bench)
     await bench.make_safe()
     reports = await rested(bench)
@@ -132,7 +132,7 @@ async def guard_death(bench: Bench) -> str:
 
 @KIT.check("a host that stops responding", moves=True)
 async def silence(bench: Bench) -> str:
-    """A silent host latches devices that were moved, and no others."""
+    """The silence of the host latches devices that were moved, and no others."""
     available = _available_telemetry(bench)
     await bench.fall_silent(3 * bench.silence)
     await _wait_for_telemetry(bench, available)
@@ -161,7 +161,7 @@ def _has_safe_state(bench: Bench) -> None:
 
 
 def _available_telemetry(bench: Bench) -> list[str]:
-    """The periodic telemetry that has arrived; missing quantities are waited for only once."""
+    """The periodic telemetry that has arrived; the wait for missing quantities occurs only once."""
     return [quantity.name for quantity in _periodic_quantities(bench) if _known(bench, quantity.name)]
 
 

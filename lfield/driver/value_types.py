@@ -40,7 +40,7 @@ def _int(value: object) -> DeviceValue:
 
 
 def _real(value: object) -> DeviceValue:
-    # Most telemetry is floats: check for them first.
+    # Most telemetry consists of floats, which are checked first.
     if type(value) is float:
         return value
     if isinstance(value, int | float) and not isinstance(value, bool):

@@ -1,29 +1,29 @@
-"""Decisions of the guard: when a device may move, when it must stop. Events in, effects out.
+"""Decisions of the guard: whether a device may move, and when it must stop. Events in, effects out.
 
-A device is free or latched. It is latched, and its safe state commanded until it is confirmed, when
+A device is free or latched. A device is latched, and its safe state is commanded until it is confirmed, when
 
 - the host has sent no heartbeat for `silence` seconds (only if the host has moved the device since it was
     opened or released), or has ended, or requests it;
   - a setpoint has expired without a replacement: its time-to-live starts when the device accepts it, and a
-    running call that would replace it has as long;
-  - its driver raised anything but a DeviceError, reports a breach, or the guard was restarted;
+    running call that would replace it has the same time;
+  - its driver raised an exception other than a DeviceError, reports a breach, or the guard was restarted;
   - a call was cancelled, and the instruction that ends it has failed.
 
-A latched device may be commanded to another safe state than that of its binding. Only `release()` frees it,
+A latched device may be commanded to a safe state other than that of its binding. Only `release()` frees it,
 once its safe state is confirmed. On each channel one actuation runs at a time: a newer one replaces an older
 one, so `land()` need not wait for a `goTo()` of another thread. A query to the device runs concurrently, also
 while it is latched.
 
-A device that still moves in its safe state is commanded again, in case it was moved out of it.
-A stop makes all devices safe and is over when they are at rest (standstill.py).
+A device that still moves in its safe state is commanded again, in case it was moved out of this state. A stop
+makes all devices safe and is over when they are at rest (standstill.py).
 
-While the host is silent the bus is muted, once every device is at rest or one has not confirmed its safe
-state within MUTE_AFTER: what the driver sends would feed the device's own watchdog for a host that does not
-respond. A device on its way to rest is not affected, since another failsafe would interfere.
+While the host is silent the bus is muted, once every device is at rest, or a device has not confirmed its
+safe state within MUTE_AFTER: the messages of the driver would feed the device's own watchdog for a host that
+does not respond. A device on its way to rest is not affected, since another failsafe would interfere.
 
-Every event first handles what is overdue, so that a heartbeat that was stuck in the pipe while this process
-was stopped does not excuse the silence. `due` does not read the clock: it returns the next deadline even if
-that has passed, so nothing is lost between a check and the next.
+Every event first handles overdue deadlines, so that a heartbeat that waited in the pipe while this process
+was stopped does not end the silence. `due` does not read the clock: it returns the next deadline even if it
+has passed, so no deadline is lost between two checks.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ from lfield.text.log_messages import report_fields
 HOST_TIMEOUT = 0.2
 #: Seconds after a failed attempt until the safe state is commanded again.
 RETRY = 1.0
-#: Seconds after an attempt until it is commanded again for a device that still moves.
+#: Seconds after an attempt until the safe state is commanded again for a device that still moves.
 REPEAT = 2.0
-#: What is needed after an emergency stop or a lock-out.
+#: The requirement after an emergency stop or a lock-out.
 LIFT_FIRST = "'lfield estop --lift' must come first"
 #: Seconds for the devices of a silent host to confirm their safe states before their bus is muted.
 MUTE_AFTER = 2.0
@@ -124,7 +124,7 @@ class GuardCore:
         return [*effects, *stopped, Execute(call)]
 
     def mark_started(self, call: GuardCall) -> str:
-        """Why the driver must not start an accepted call because time has passed; '' when it starts now."""
+        """The reason why the driver must not start an accepted call any more; '' when the call starts now."""
         if (running := self._running(call.token)) is not None:
             running.mark_started()
         return self._expiry_reason(call)
@@ -132,7 +132,7 @@ class GuardCore:
     def on_cancel(self, token: int, sent: float) -> list[Effect]:
         """The host cancels a call, which ends as its manifest defines; an answered call is not affected.
 
-        A call that has not started and has replaced nothing never starts. The instruction that ends a call is
+        A call that has not started and has replaced none never starts. The instruction that ends a call is
         the newest on its channel; if it fails, or takes longer than `rest_within`, the device is made safe.
         """
         effects = self.on_beat(sent)
@@ -189,7 +189,7 @@ class GuardCore:
         return effects + self._latch(self._devices[running.call.device], reason)
 
     def latch(self, device: str, reason: str, *, lock: bool = False, state: str = "") -> list[Effect]:
-        """A request for the safe state of a device, or of all (''), or for another `state` than usual."""
+        """A request for the safe state of a device, or of all (''), or for an unusual `state`."""
         effects = self.tick()
         for name, known in self._devices.items():
             if device in ("", name):
@@ -215,7 +215,7 @@ class GuardCore:
         return [*effects, Notify(Latched(name, device.latched, True, device.state)), *self.tick()]
 
     def on_motion_report(self, name: str, moving: str) -> list[Effect]:
-        """How the device still moves in its safe state, as the driver reports; '' when it is at rest."""
+        """The driver reports how the device still moves in its safe state, '' when it is at rest."""
         device, now = self._devices[name], self._clock.monotonic()
         is_reported = self._rest.on_motion_report(name, moving, now)
         effects: list[Effect] = [Notify(Moving(name, moving))] if is_reported else []
@@ -225,24 +225,24 @@ class GuardCore:
         return effects + self.tick()
 
     def on_safe_failed(self, name: str, reason: str) -> list[Effect]:
-        """The driver could not bring the device into its safe state; it is tried again."""
+        """The driver could not bring the device into its safe state; the command is repeated."""
         effects = self.tick()
         device, now = self._devices[name], self._clock.monotonic()
         device.end_safe_state(now)
         if device.confirmed:
-            return effects  # A motion report follows, and the state is commanded again for that.
+            return effects  # A motion report follows, after which the state is commanded again.
         device.set_retry(now + RETRY)
         line = log_messages.SAFE_STATE_UNCONFIRMED.line(reason=reason)
         return [*effects, Notify(Note(name, *report_fields(line)))]
 
     def on_stop(self, reason: str, *, at_once: bool = False) -> list[Effect]:
-        """The host stops: make everything safe, wait until it is at rest (not `at_once`), then exit."""
+        """The host stops: make all devices safe, wait until they are at rest (not `at_once`), then exit."""
         if at_once:
             self._rest.skip_wait()
         return self._stop(reason)
 
     def on_host_gone(self, reason: str) -> list[Effect]:
-        """The host has ended: make everything safe, then exit."""
+        """The host has ended: make all devices safe, then exit."""
         self._rest.on_host_gone()
         return self._stop(reason)
 
@@ -255,7 +255,7 @@ class GuardCore:
         return effects + self.tick()
 
     def tick(self) -> list[Effect]:
-        """Handles everything that is due."""
+        """Handles all deadlines that are due."""
         now = self._clock.monotonic()
         effects: list[Effect] = []
         silent = now >= self._silent_at
@@ -277,7 +277,7 @@ class GuardCore:
         return effects + self._end_if_over(now)
 
     def due(self) -> float | None:
-        """When the next tick is needed, on the injected clock; None without a deadline."""
+        """The time when the next tick is needed, on the injected clock; None without a deadline."""
         if self._ended:
             return None
         times = [device.due() for device in self._devices.values()]
@@ -287,7 +287,7 @@ class GuardCore:
     # -- decisions ------------------------------------------------------------------------------------
 
     def _expiry_reason(self, call: GuardCall) -> str:
-        """Why a call is too late to start; '' when it is not."""
+        """The reason why a call is too late to start; '' when it is not."""
         now = self._clock.monotonic()
         if now < call.until or self._devices[call.device].instruction_of(call).only_asks:
             return ""
@@ -296,17 +296,17 @@ class GuardCore:
 
     @property
     def _silent_at(self) -> float:
-        """When the host counts as silent without another heartbeat."""
+        """The time when the host counts as silent without another heartbeat."""
         return self._last_beat + self._silence
 
     def _silence_due(self) -> float | None:
-        """When the next action for a silent host is due; None when all is done."""
+        """The time when the next action for a silent host is due; None when all actions are done."""
         if any(device.is_actuated and not device.latched for device in self._devices.values()):
             return self._silent_at
         return None if self._muted else self._mute_at()
 
     def _mute_at(self) -> float:
-        """When a silent host's bus is muted: at once if nothing remains to be sent."""
+        """The time when a silent host's bus is muted: at once if no message remains to be sent."""
         if all(d.confirmed or not (d.latched or d.is_actuated) for d in self._devices.values()):
             return max(self._silent_at, self._rest.under_way_until())
         return self._silent_at + MUTE_AFTER
@@ -322,7 +322,7 @@ class GuardCore:
         return Mute(on)
 
     def _start_query(self, device: GuardDevice, call: GuardCall) -> list[Effect]:
-        """Accepts a call that moves nothing; release() unlatches first and informs the driver."""
+        """Accepts a call that moves no device; release() unlatches first and informs the driver."""
         effects: list[Effect] = []
         if call.instruction == RELEASE.name:
             if self._stopping:
@@ -376,12 +376,12 @@ class GuardCore:
         return [Interrupt(running.call.token), Notify(answer)]
 
     def _running(self, token: int) -> RunningCall | None:
-        """The running call of a token; None when it was answered."""
+        """The running call of a token; None when the call was answered."""
         found = (device.running(token) for device in self._devices.values())
         return next((running for running in found if running is not None), None)
 
     def _finish_running(self, token: int) -> RunningCall | None:
-        """As `_running`, and removes it."""
+        """As `_running`, and removes the call."""
         running = self._running(token)
         if running is not None:
             self._devices[running.call.device].remove(running)

@@ -1,7 +1,7 @@
 """Opens the devices of a guard, and closes them when the guard must end while it opens them.
 
 A device that was only queried is left unchanged. Opening is completed first for a device that it may have
-changed, so that it can be made safe; if that takes too long, the device is reported as unsafe.
+changed, so that it can be made safe; if this takes too long, the device is reported as unsafe.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ OpenProblem = tuple[str, str, str]
 class DeviceOpener:
     """Opens the devices of one bus, and owns the endpoint and the driver afterwards.
 
-    `on_loaded` is called when the driver is imported, before it opens anything.
+    `on_loaded` is called when the driver is imported, before it opens a device.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class DeviceOpener:
 
     async def run(self, message: OpenDevices) -> tuple[dict[str, str], list[OpenProblem]]:
         """Opens all devices concurrently; returns identities by name, and all problems. Abandoned devices are
-        in neither.
+        in neither of them.
         """
         try:
             await self._lock.acquire(message.devices[0].endpoint)
@@ -99,8 +99,8 @@ class DeviceOpener:
         return [name for name, (device, _) in self._tasks.items() if device.touched()]
 
     def abandon(self) -> float | None:
-        """Abandons devices that were only queried; returns the seconds that the others have, None for no
-        limit.
+        """Abandons devices that were only queried; returns the time limit of the others in seconds, None for
+        no limit.
 
         There is no limit for devices that the program may have moved before a restart of the guard.
         """

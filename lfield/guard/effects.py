@@ -20,8 +20,8 @@ class Interrupt(Struct, frozen=True):
 
 
 class MakeSafe(Struct, frozen=True):
-    """Effect: the driver brings a device into a safe state ('': that of its binding), before anything
-    else.
+    """Effect: the driver brings a device into a safe state ('': that of its binding), before all other
+    effects.
     """
 
     device: str
@@ -29,7 +29,7 @@ class MakeSafe(Struct, frozen=True):
 
 
 class Abandon(Struct, frozen=True):
-    """Effect: the device is released; stop bringing it into its safe state."""
+    """Effect: the device is released; stop the command of its safe state."""
 
     device: str
 
@@ -43,7 +43,7 @@ class CheckRest(Struct, frozen=True):
 
 
 class Mute(Struct, frozen=True):
-    """Effect: stop sending what feeds a device's own watchdog (False: start again)."""
+    """Effect: stop sending the messages that feed a device's own watchdog (False: start again)."""
 
     on: bool
 

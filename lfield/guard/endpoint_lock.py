@@ -1,9 +1,9 @@
 """Exclusive ownership of an endpoint on this computer.
 
 A serial port or a bound UDP port is exclusive by itself. A vehicle reached by outgoing UDP, a TCP connection
-or a socketcand server is not, and could be commanded by two guards. A lock is an abstract Unix socket named
-after the endpoint: visible to all users, without a file, released when its process ends, and it identifies
-its owner.
+or a socketcand server is not exclusive, and two guards could command it. A lock is an abstract Unix socket
+named after the endpoint: it is visible to all users, needs no file, is released when its process ends, and
+identifies its owner.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _PORT = re.compile(r"(?P<host>.+):(?P<port>[0-9]+)(?P<channel>/.*)?")
 
 
 class EndpointTarget(NamedTuple):
-    """What an endpoint leads to: a device file, a host and port, or only a name."""
+    """The target of an endpoint: a device file, a host and port, or only a name."""
 
     kind: str
     name: str
@@ -59,7 +59,7 @@ class EndpointGuard(Protocol):
     """Reserves an endpoint for one guard."""
 
     async def acquire(self, endpoint: str) -> None:
-        """Locks all targets of an endpoint. Raises DeviceError that names the process that owns it."""
+        """Locks all targets of an endpoint. Raises DeviceError with the process that owns it."""
 
     def release(self) -> None:
         """Releases all locks."""
@@ -72,7 +72,7 @@ class EndpointLock:
         self._held: list[socket.socket] = []
 
     async def acquire(self, endpoint: str) -> None:
-        """Locks all targets of an endpoint. Raises DeviceError that names the process that owns it."""
+        """Locks all targets of an endpoint. Raises DeviceError with the process that owns it."""
         for place in endpoint_targets(endpoint):
             name = await _lock_name(place)
             try:
@@ -117,7 +117,7 @@ async def _lock_name(place: EndpointTarget) -> str:
 
 
 def _answer_holder_query(lock: socket.socket) -> None:
-    """Another process has queried the owner."""
+    """Answers another process that has queried the owner."""
     with suppress(OSError):
         lock.accept()[0].close()
 

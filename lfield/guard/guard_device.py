@@ -11,13 +11,14 @@ from lfield.manifest import DeviceManifest, Instruction
 
 
 class GuardDevice(Struct):
-    """The state of one device. `latched` is the reason, '' when it is free.
+    """The state of one device. `latched` is the reason, '' when the device is free.
 
-    `lock_reason` is why the program may not release it: an emergency stop or a lock-out by its driver.
-    `reported` is the last reason to be safe given to a sensor, which does nothing. `state` is the safe state
-    that it is held in; '' for that of its binding. `making` means that its safe state is being commanded,
-    `made_at` is when that last ended. `rest_within` is the time to come to rest, in seconds. `active` is the
-    running call of each channel, `setpoints` are the expiry times of setpoints in effect.
+    `lock_reason` is the reason why the program may not release it: an emergency stop or a lock-out by its
+    driver. `reported` is the last reason for a safe state that was given to a sensor, which does not react.
+    `state` is the safe state in which the device is held; '' for the one of its binding. `making` means that
+    the safe state is being commanded, `made_at` is the time when this command last ended. `rest_within` is
+    the time to come to rest, in seconds. `active` is the running call of each channel, `setpoints` are the
+    expiry times of setpoints in effect.
     """
 
     name: str
@@ -49,19 +50,21 @@ class GuardDevice(Struct):
         self.is_actuated = True
 
     def lock(self, reason: str) -> None:
-        """The program may not release it, for a reason; '' changes nothing, and the first reason remains."""
+        """Forbids the program to release the device, for a reason; '' has no effect, and the first reason
+        remains.
+        """
         self.lock_reason = self.lock_reason or reason
 
     def unlock(self) -> None:
-        """The program may release it again."""
+        """Permits the program to release the device again."""
         self.lock_reason = ""
 
     def latch(self, reason: str, state: str) -> None:
-        """Holds it in a safe state, which is not confirmed yet."""
+        """Holds the device in a safe state, which is not confirmed yet."""
         self.latched, self.state, self.confirmed, self.retry_at = reason, state, False, None
 
     def release(self) -> None:
-        """Ends its safe state: it accepts calls again."""
+        """Ends the safe state: the device accepts calls again."""
         self.making = False
         self.latched, self.state, self.confirmed, self.is_actuated = "", "", False, False
 
@@ -70,15 +73,15 @@ class GuardDevice(Struct):
         self.confirmed = True
 
     def start_safe_state(self) -> None:
-        """The command of its safe state starts."""
+        """The command of the safe state starts."""
         self.making = True
 
     def end_safe_state(self, now: float) -> None:
-        """The command of its safe state has ended, with or without success."""
+        """The command of the safe state has ended, with or without success."""
         self.making, self.made_at = False, now
 
     def set_retry(self, at: float | None) -> None:
-        """Sets when its safe state is commanded again; None for never."""
+        """Sets the time when the safe state is commanded again; None for never."""
         self.retry_at = at
 
     def replace_reported(self, reason: str) -> str:
@@ -87,7 +90,7 @@ class GuardDevice(Struct):
         return before
 
     def expiry(self) -> float | None:
-        """When the first setpoint in effect expires. A running actuation replaces it, unless it fails."""
+        """The time when the first setpoint expires. A running actuation replaces it unless it fails."""
         if self.latched or not (self.setpoints or self.active):
             return None
         times = [until for channel, until in self.setpoints.items() if channel not in self.active]
@@ -98,7 +101,7 @@ class GuardDevice(Struct):
         return min(times, default=None)
 
     def due(self) -> float | None:
-        """When the next deadline of this device is due; None without any."""
+        """The time when the next deadline of this device is due; None without any."""
         if not (self.setpoints or self.active):
             return self.retry_at
         times = (self.expiry(), self.retry_at, self.cancel_deadline())
@@ -115,12 +118,12 @@ class GuardDevice(Struct):
         self.active = {channel: other for channel, other in self.active.items() if other is not running}
 
     def cancel_deadline(self) -> float | None:
-        """When the first cancelled call must have ended; None without any."""
+        """The time when the first cancelled call must have ended; None without any."""
         ends = (running.deadline for running in self.active.values() if running.cancelled is not None)
         return min(ends, default=None)
 
     def overdue_cancel(self, now: float) -> str:
-        """Which cancelled call has not ended in time, in words; '' for none."""
+        """A description of the cancelled call that has not ended in time; '' for none."""
         if not self.active:
             return ""
         late = (running.call for running in self.active.values() if now >= running.deadline)
@@ -128,7 +131,7 @@ class GuardDevice(Struct):
 
 
 class CoreState(Struct, frozen=True):
-    """All that a GuardCore stores between two events: `core.state`."""
+    """The data that a GuardCore stores between two events: `core.state`."""
 
     devices: list[GuardDevice]
     rest: StandstillState

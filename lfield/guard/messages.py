@@ -1,8 +1,8 @@
 """Protocol between host and guard over the guard's stdin and stdout.
 
 One frame per message (lfield.wire.framing): the kind is the message, the payload its fields as MessagePack.
-Both ends share the machine's monotonic clock, so `sent` and `until` are compared with the time of arrival,
-which detects messages delayed in the pipe. Values get their L types in `lfield.driver.value_types.conform`.
+Both ends share the machine's monotonic clock, so `sent` and `until` are compared with the time of arrival;
+this detects messages delayed in the pipe. Values get their L types in `lfield.driver.value_types.conform`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lfield.text import log_messages
 from lfield.text.log_messages import Level, LogLine, json_line, report_line
 from lfield.wire.framing import FrameDecoder, frame
 
-#: Environment variable of a host's process: the name of the host, where its guards must log JSON lines.
+#: Environment variable of a host's process: the name of the host, if its guards must log JSON lines.
 JSON_LOG_HOST = "LFIELD_GUARD_JSON_LOG"
 #: The L exception of a cancelled call.
 CANCELLED = "CancelledException"
@@ -33,9 +33,9 @@ class GuardMessage(msgspec.Struct, frozen=True, array_like=True):
 
 
 class GuardRecording(msgspec.Struct, frozen=True, array_like=True):
-    """What a guard writes into its folder in a recording, '' for nothing: at most `limit` bytes together.
+    """The recording of a guard, in its folder, '' for none; at most `limit` bytes together.
 
-    `run` is the id of the run, '' where it has none.
+    `run` is the id of the run, '' if it has none.
     """
 
     folder: str = ""
@@ -47,13 +47,13 @@ NO_RECORDING = GuardRecording()
 
 
 class OpenDevices(GuardMessage, frozen=True):
-    """Host: opens these devices, all on one bus. `latched` is why they must start in their safe states, or
-    ''.
+    """Host: opens these devices, all on one bus. `latched` is the reason why they must start in their safe
+    states, or ''.
 
     `silence` is the host time-out in seconds, after which every device is made safe. `driver` contains the
-    manifests; the guard reads none, and refuses if the installed driver has others. With `latched`,
-    `foreign_controlled` lists the devices that were under foreign control when the previous guard died. The
-    folder of `recording` exists.
+    manifests; the guard reads no manifest, and refuses if the installed driver has other ones. With
+    `latched`, `foreign_controlled` lists the devices that were under foreign control when the previous guard
+    died. The folder of `recording` exists.
     """
 
     devices: list[DeviceBinding]
@@ -112,7 +112,7 @@ class RequestSafeState(GuardMessage, frozen=True):
 
 
 class Stop(GuardMessage, frozen=True):
-    """Host: makes everything safe and ends when all devices are at rest, or `at_once`."""
+    """Host: makes all devices safe and ends when they are at rest, or `at_once`."""
 
     reason: str
     at_once: bool = False
@@ -121,7 +121,7 @@ class Stop(GuardMessage, frozen=True):
 class DevicesOpened(GuardMessage, frozen=True):
     """Guard: the bus is open; identities of the devices by name.
 
-    `actions`: what a device does in a safe state, where that is not what the name of the state says.
+    `actions`: the action of a device in a safe state, if it differs from the name of the state.
     """
 
     identities: dict[str, str]
@@ -150,7 +150,7 @@ class Refused(GuardMessage, frozen=True):
 
 
 class TelemetrySnapshot(GuardMessage, frozen=True):
-    """Guard: telemetry of one device by quantity, and when the device itself last sent something.
+    """Guard: telemetry of one device by quantity, and the time when the device itself last sent a message.
 
     `is_foreign_controlled`: a pilot or another station controls it.
     """
@@ -162,9 +162,10 @@ class TelemetrySnapshot(GuardMessage, frozen=True):
 
 
 class Latched(GuardMessage, frozen=True):
-    """Guard: the device is held in its safe state because of `reason`; `confirmed` once that is confirmed.
+    """Guard: the device is held in its safe state because of `reason`; `confirmed` when the state is
+    confirmed.
 
-    `state` is '' for that of its binding.
+    `state` is '' for the one of its binding.
     """
 
     device: str
@@ -208,7 +209,7 @@ class LockedOut(GuardMessage, frozen=True):
 
 
 class Moving(GuardMessage, frozen=True):
-    """Guard: how a device still moves in its confirmed safe state; '' when it is at rest."""
+    """Guard: the remaining motion of a device in its confirmed safe state; '' when it is at rest."""
 
     device: str
     moving: str
@@ -265,7 +266,7 @@ class MessageReader:
 
 
 def host_silent(silence: float) -> str:
-    """The reason when a device is made safe after this silence (s) of its host."""
+    """The reason for making a device safe after this silence (s) of its host."""
     return f"the host was silent for over {silence * 1000:.0f} ms"
 
 
@@ -289,7 +290,7 @@ class OrphanLog:
             sys.stderr.flush()
 
     def lines(self, message: GuardMessage) -> list[LogLine]:
-        """The log lines, as a host would write them; none for messages that need none."""
+        """The log lines, as a host would write them; none for messages that need no line."""
         match message:
             case Latched(device, reason, True, state):
                 state = state or self._safe_states.get(device, "")

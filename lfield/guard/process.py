@@ -1,10 +1,11 @@
 """The guard process of one bus: `python -m lfield.guard.process package:PLUGIN`.
 
-Frames come in on stdin and go out on stdout; the log is stderr. It imports the driver but never the VM, so a
-busy program cannot delay its timers. The first message lists its devices: before the driver is imported and
-before a second thread exists, the process drops all rights that these do not need (`policy_for`,
-`apply_sandbox`). When stdin ends, the devices are made safe and the process ends. Signals do not end it:
-while its host lives, only the host decides when the devices may be left; afterwards, the guard does.
+Frames come in on stdin and go out on stdout; the log is stderr. The process imports the driver but never the
+VM, so a busy program cannot delay its timers. The first message lists its devices: before the driver is
+imported and before a second thread exists, the process drops all rights that the devices do not need
+(`policy_for`, `apply_sandbox`). When stdin ends, the devices are made safe and the process ends. Signals do
+not end it: while its host lives, only the host decides when the process may leave its devices; afterwards,
+the guard decides.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ async def serve(plugin: Plugin, first: bytes, input_fd: int, output_fd: int) -> 
     shell = Shell(plugin, output, SystemClock(), event_loop.raise_timer_priority)
     shell.data_received(first)
     source, _ = await running.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
-    # A service manager signals every process of its group at once. A guard that obeyed would stop its
+    # A service manager signals every process of its group at once. A guard that ended then would stop its
     # heartbeats to a vehicle that is still landing.
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         running.add_signal_handler(number, shell.on_signal, number)
@@ -50,7 +51,7 @@ async def serve(plugin: Plugin, first: bytes, input_fd: int, output_fd: int) -> 
 
 
 def first_message(descriptor: int) -> bytes:
-    """The first frame of the host, as far as it arrives; b"" when there is none."""
+    """The first frame of the host, or its part that arrives; b"" without one."""
     data = b""
     while len(data) < (size := size_of(data, MAX_PAYLOAD)) and (
         more := os.read(descriptor, size - len(data))
@@ -90,7 +91,8 @@ def main(arguments: Sequence[str]) -> int:
     if len(arguments) != 1:
         print("usage: python -m lfield.guard.process package:PLUGIN", file=sys.stderr)
         return exit_status.USAGE
-    # Output that a vendor library prints must not corrupt a frame, nor block on the reader of the log.
+    # Output that a vendor library prints must not corrupt a frame, and must not block because of the reader
+    # of the log.
     output_fd = os.dup(1)
     os.dup2(2, 1)
     sandbox_for(first := first_message(0))

@@ -19,8 +19,8 @@ CallKind = Literal["ask", "act", "setpoint"]
 
 
 def call_kind(instruction: Instruction) -> CallKind:
-    """How the guard treats an instruction: a query moves nothing; a setpoint remains in effect after it
-    returned.
+    """The treatment of an instruction by the guard: a query moves no device; a setpoint remains in effect
+    after its call has returned.
     """
     if instruction.only_asks or instruction.name == RELEASE.name:
         return "ask"
@@ -28,10 +28,10 @@ def call_kind(instruction: Instruction) -> CallKind:
 
 
 class RunningCall(Struct):
-    """A running call: of the program, or the one that ends a `cancelled` call.
+    """A running call of the program, or the call that ends a `cancelled` one.
 
-    `is_started`: the driver has it. `replaces_call`: another call was stopped for it. `deadline` is when the
-    end of a cancelled call must be done, in seconds of the clock.
+    `is_started`: the driver has received the call. `replaces_call`: another call was stopped for it.
+    `deadline` is the time by which the end of a cancelled call must be done, in seconds of the clock.
     """
 
     call: GuardCall
@@ -41,7 +41,7 @@ class RunningCall(Struct):
     deadline: float = math.inf
 
     def mark_started(self) -> None:
-        """The driver has it."""
+        """Records that the driver has received the call."""
         self.is_started = True
 
     @property
@@ -50,20 +50,20 @@ class RunningCall(Struct):
         return not (self.is_started or self.replaces_call)
 
     def done_answer(self, value: DeviceValue) -> CallDone | Refused:
-        """The answer when it was executed."""
+        """The answer when the call was executed."""
         if self.cancelled is None:
             return CallDone(self.call.token, value)
         return self.failed_answer(f"{self.call.instruction}() is done")
 
     def failed_answer(self, reason: str) -> Refused:
-        """The answer when it failed: a sentence, or the rest of `goTo() was cancelled, and`."""
+        """The answer when the call failed: a sentence, or the rest of `goTo() was cancelled, and`."""
         if self.cancelled is None:
             return Refused(self.call.token, "DeviceException", reason)
         message = f"{self.cancelled.instruction}() was cancelled, and {reason}"
         return Refused(self.cancelled.token, CANCELLED, message)
 
     def cancelled_answer(self) -> Refused:
-        """The answer when waiting ends without a command to the device."""
+        """The answer when the wait ends without a command to the device."""
         state = (
             "the motion that it started continues"
             if self.is_started

@@ -1,7 +1,7 @@
 """Sandbox of a guard: Landlock and a seccomp filter for sockets, irrevocable.
 
-https://docs.kernel.org/userspace-api/landlock.html. System calls by number, without a library. Features that
-the kernel lacks are omitted: `describe_sandbox` lists what is enforced.
+https://docs.kernel.org/userspace-api/landlock.html. System calls are made by number, without a library.
+Features that the kernel does not have are omitted: `describe_sandbox` lists the enforced ones.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _EXECUTE, _WRITE, _READ, _TRUNCATE, _IOCTL = 1 << 0, 1 << 1, 1 << 2, 1 << 14, 1 
 _FOLDER_RIGHTS = sum(1 << bit for bit in range(4, 13))
 _LATER_RIGHTS = {2: 1 << 13, 3: _TRUNCATE, 5: _IOCTL}
 _FILE_RIGHTS = _EXECUTE | _WRITE | _READ | _TRUNCATE | _IOCTL
-#: In the folder of a recording: write, remove and create files.
+#: Rights in the folder of a recording: write, remove and create files.
 _RECORDING_RIGHTS = _WRITE | 1 << 5 | 1 << 8
 #: Rights to bind and connect by TCP; scope of signals.
 _TCP, _RULE_CALL, _SIGNALS = 3, 2, 2
 
 _NO_NEW_PRIVILEGES, _SECCOMP, _FILTER = 38, 22, 2
-#: By processor: its audit architecture and the number of socket().
+#: For each processor: its audit architecture and the number of socket().
 _PROCESSORS = {"x86_64": (0xC000003E, 41), "aarch64": (0xC00000B7, 198), "armv7l": (0x40000028, 281)}
 _IO_URING_SETUP = 425
 #: AF_UNIX and AF_CAN.
@@ -50,7 +50,7 @@ def landlock_abi() -> int:
 
 
 def describe_sandbox() -> tuple[str, str]:
-    """What this kernel enforces, in words, and what it does not ('' for nothing)."""
+    """Descriptions of the features that this kernel enforces, and of those that it does not ('' for none)."""
     version = landlock_abi()
     if not version:
         return "", "this kernel has no Landlock (5.13 has; see CONFIG_SECURITY_LANDLOCK and 'lsm=')"
@@ -66,8 +66,8 @@ def describe_sandbox() -> tuple[str, str]:
 def apply_sandbox(policy: SandboxPolicy) -> None:
     """Restricts this process and its children to the policy, as far as the kernel can.
 
-    Call it before a second thread exists, which would keep its rights. Raises OSError when the kernel
-    supports it and fails.
+    Call this function before a second thread exists, which would keep its rights. Raises OSError if the
+    kernel supports the restriction but fails.
     """
     _checked(_libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0))
     if version := landlock_abi():
@@ -102,7 +102,7 @@ def _landlock(policy: SandboxPolicy, version: int) -> None:
 
 
 def _add_paths(rules: int, paths: Iterable[str], rights: int) -> None:
-    """Grants rights for files, and for all below folders; missing paths are skipped."""
+    """Grants rights for files, and for all files below folders; missing paths are skipped."""
     for path in paths:
         with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
             descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)

@@ -1,7 +1,8 @@
-"""What a guard may access: its device, and what code needs to run. Enforced by `apply_sandbox`.
+"""The access rights of a guard: its device, and the files that code needs to run. The policy is derived from
+the endpoint and options of the devices; `apply_sandbox` enforces it.
 
-Derived from the endpoint and options of its devices. A driver loads third-party code that parses untrusted
-bytes: it must not read the keys of its host, write into a journal, or command another guard's device.
+A driver loads third-party code that parses untrusted bytes: it must not read the keys of its host, write into
+a journal, or command another guard's device.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from lfield.guard.endpoint_lock import EndpointTarget, endpoint_targets
 
 #: Endpoint schemes of device files: such a guard needs no network.
 _TTY = ("serial", "slcan")
-#: Schemes that need no IP either; that connect by TCP; that send datagrams.
+#: Schemes that also need no IP; that connect by TCP; that send datagrams.
 _CAN, _TCP, _UDP = ("socketcan",), ("tcp", "socketcand"), ("udp", "udpin")
-#: Prefixes of built-in ports. Others may reappear as another file after replugging.
+#: Prefixes of built-in ports. Other ports may reappear as another file after they are plugged in again.
 _BUILT_IN = ("ttyS", "ttyAMA", "ttyTHS")
-#: System files that code reads. In /etc only name resolution and the time zone.
+#: System files that code reads; in /etc only name resolution and the time zone.
 _RESOLVER_FILES = (
     "hosts",
     "resolv.conf",
@@ -41,10 +42,10 @@ PSEUDO_DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/ur
 
 
 class SandboxPolicy(Struct, frozen=True):
-    """The paths and ports that one guard may access; a folder includes everything below it.
+    """The paths and ports that one guard may access; a folder includes all files below it.
 
     `folders` may be written into. In the folder `recording`, if any, files can be created, appended to and
-    removed, but not read. `ports` are the TCP ports that it may connect to, None for any. Without
+    removed, but not read. `ports` are the TCP ports that the guard may connect to, None for any. Without
     `has_internet` it may only open Unix and CAN sockets; without `may_execute` it may not execute programs.
     """
 
@@ -94,9 +95,9 @@ def policy_for(
 ) -> SandboxPolicy:
     """The policy for the guard of these devices; `code` are the folders that modules come from.
 
-    `scratch` is a folder for temporary files, `recording` that of a recording, if there is one. The needs of
-    an unknown kind of endpoint are unknown: it keeps access to devices, network and other programs, but not
-    to files of its user.
+    `scratch` is a folder for temporary files, `recording` the folder of a recording, if there is one. An
+    unknown kind of endpoint has unknown requirements: its guard keeps access to devices, network and other
+    programs, but not to the files of its user.
     """
     needs = _Requirements()
     for endpoint in sorted({device.endpoint for device in devices}):
@@ -125,7 +126,9 @@ def _resolver_folders() -> tuple[str, ...]:
 
 
 def _is_writable_by_driver(folder: str) -> bool:
-    """Whether the driver may write into the folder of a file: this user may, and it contains no keys."""
+    """Whether the driver may write into the folder of a file: this user may write into it, and it contains no
+    keys.
+    """
     return os.access(folder, os.W_OK) and not os.path.isdir(os.path.join(folder, "keys"))
 
 

@@ -48,9 +48,9 @@ from lfield.recording.turn_clocks import TurnClock
 from lfield.text import log_messages
 from lfield.text.log_messages import report_fields
 
-#: Unread bytes in the pipe above which no periodic telemetry is sent: the host does not read.
+#: Unread bytes in the pipe above which no periodic telemetry is sent, because the host does not read.
 BACKLOG = 1 << 18
-#: Messages that a program acts on: telemetry is flushed before them.
+#: Messages to which a program reacts: telemetry is flushed before them.
 OUTCOMES = (CallDone, Refused, Latched, LockedOut, Moving, Released)
 #: Seconds between two answers to heartbeats.
 ANSWER_EVERY = 0.5
@@ -61,7 +61,7 @@ SAFE_COMMAND_TIME = 0.3
 class Shell(asyncio.Protocol):
     """Passes events to the core and its effects to the driver and the host.
 
-    `on_loaded` is called when the driver is imported, before it opens anything; `lock` reserves the endpoint.
+    `on_loaded` is called when the driver is imported, before it opens a device; `lock` reserves the endpoint.
     """
 
     def __init__(
@@ -74,18 +74,18 @@ class Shell(asyncio.Protocol):
     ) -> None:
         self._output, self._clock, self._orphan_log = output, clock, OrphanLog(clock)
         self._loop = asyncio.get_running_loop()
-        # A callback of a driver (socket, timer) that raises has no task that would report it.
+        # An exception in a callback of a driver (socket, timer) has no task that would report it.
         self._loop.set_exception_handler(self._callback_raised)
         self._reader = MessageReader()
         self._core: RecordedCore | None = None
         self._recorder: GuardRecorder | None = None
         self._opening = DeviceOpener(plugin, clock, self, on_loaded, lock or EndpointLock())
-        # How the core ends if the end was requested while the devices were opened.
+        # The end of the core, if it was requested while the devices were opened.
         self._leave: guard_inputs.GuardInput | None = None
         self._telemetry = Telemetry(
             clock, self._send_snapshot, self._is_foreign, lambda: output.get_write_buffer_size() >= BACKLOG
         )
-        # Driver reports that go straight to telemetry.
+        # Driver reports that are passed directly to telemetry.
         self.publish, self.heard = self._telemetry.publish, self._telemetry.on_contact
         self._foreign: list[str] = []
         self._calls: dict[int, asyncio.Task[None]] = {}
@@ -94,7 +94,7 @@ class Shell(asyncio.Protocol):
         self._timer: asyncio.Handle | None = None
         self._timer_at = self._answered = 0.0
         self._asked = self._no_memory = False
-        # Messages that are sent in one write, while some are awaited.
+        # Messages to be sent in one write, while more are expected; None otherwise.
         self._buffered: list[bytes] | None = None
         self.exit: asyncio.Future[int] = self._loop.create_future()
 
@@ -165,12 +165,12 @@ class Shell(asyncio.Protocol):
                 self._output.write(b"".join(held))
 
     def on_signal(self, number: int) -> None:
-        """A signal that was meant for the host."""
+        """Handles a signal that was intended for the host."""
         line = log_messages.GUARD_SIGNAL_IGNORED.line(signal=signal.Signals(number).name)
         self.note("the guard", line)
 
     def _is_foreign(self, device: str) -> bool:
-        """Whether the device is under foreign control; while opening, as the previous guard reported."""
+        """Whether the device is under foreign control; while it is opened, as the previous guard reported."""
         if self._core is None:
             return device in self._foreign
         try:
@@ -188,11 +188,11 @@ class Shell(asyncio.Protocol):
             self._recorder.on_note(note)
 
     def breach(self, device: str, reason: str) -> None:
-        """The device exceeds a limit: it is made safe, independent of its calls."""
+        """The device exceeds a limit: it is made safe, independently of its calls."""
         self._handle(guard_inputs.SafeStateRequested(device, reason))
 
     def lock_out(self, device: str, reason: str) -> None:
-        """The device must be inspected: it is made safe, and only an operator clears that."""
+        """The device must be inspected: it is made safe, and only an operator clears the lock-out."""
         if self._core is not None:
             effects = self._core.handle(guard_inputs.SafeStateRequested(device, reason, lock=True))
             self._run([*effects, Notify(LockedOut(device, reason))])
@@ -200,7 +200,7 @@ class Shell(asyncio.Protocol):
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         reason = context.get("exception") or context.get("message", "")
         if "future" in context or "task" in context:
-            # The failed call was no longer awaited: no reason to stop a vehicle.
+            # No task waited for the failed call any more: this is no reason to stop a vehicle.
             self.note("the driver", log_messages.DRIVER_TASK_FAILED.line(reason=self._error_text(reason)))
         else:
             self.crashed(reason)
@@ -225,7 +225,7 @@ class Shell(asyncio.Protocol):
     def _out_of_memory(self) -> None:
         """Commands the safe states and ends: a new guard is better than one without memory.
 
-        If the host is gone, nothing would start another guard; then this one continues.
+        If the host has ended, no process would start another guard, so this one continues.
         """
         if self._no_memory:
             return
@@ -244,7 +244,7 @@ class Shell(asyncio.Protocol):
 
     async def _open(self, message: OpenDevices) -> None:
         self._foreign = message.foreign_controlled
-        # Announces that nothing is opened yet.
+        # This heartbeat announces that no device is opened yet.
         self._send(Beat(self._clock.monotonic()))
         identities, problems = await self._opening.run(message)
         if problems:
@@ -263,7 +263,7 @@ class Shell(asyncio.Protocol):
             self._handle(self._leave)
 
     def _end(self, leave: guard_inputs.GuardInput, *, at_once: bool = False) -> None:
-        """The host stops or is gone; half-open devices are completed first, unless `at_once`."""
+        """The host stops or has ended; half-open devices are completed first, unless `at_once`."""
         if self._core is not None:
             self._handle(leave)
             return
@@ -275,14 +275,14 @@ class Shell(asyncio.Protocol):
             self._loop.call_later(seconds, self._abandon)
 
     def _abandon(self) -> None:
-        """The devices are not open, and are not waited for any longer."""
+        """Ends the guard without waiting any longer for devices that are not open."""
         if self._core is None and not self.exit.done():
             self._send(Stopped(unsafe := dict.fromkeys(self._opening.commanded, UNFINISHED)))
             self._finish(1 if unsafe else 0)
 
     @property
     def _driver(self) -> Driver:
-        """The driver; it exists once the core does."""
+        """The driver; it exists as soon as the core exists."""
         assert self._opening.driver is not None
         return self._opening.driver
 
@@ -332,7 +332,7 @@ class Shell(asyncio.Protocol):
     def _check_rest(self, name: str) -> None:
         try:
             moving = self._driver.devices[name].moving()
-        except Exception as error:  # third-party code; unknown counts as moving
+        except Exception as error:  # third-party code; an unknown state counts as moving
             moving = f"unknown, the driver failed: {self._error_text(error)}"
         self._handle(guard_inputs.MotionReported(name, moving))
 
@@ -374,7 +374,7 @@ class Shell(asyncio.Protocol):
             return
         if self._timer is not None:
             self._timer.cancel()
-        # Stored here: uvloop cannot tell when a timer is due that has less than half a millisecond left.
+        # Stored here: uvloop cannot tell when a timer is due that expires in less than half a millisecond.
         self._timer, self._timer_at = self._loop.call_at(due, self._on_timer), due
 
     def _on_timer(self) -> None:

@@ -2,8 +2,8 @@
 
 A confirmed safe state is only the beginning: a landing vehicle is still in the air. A latched device is
 checked until it is at rest. A stop is over when every device was confirmed at rest, or its time is over, or
-the operator does not wait; whether the host is still there makes no difference. A muted bus cannot be
-observed: then the stop ends with the safe states.
+the operator does not wait; the state of the host has no influence. A muted bus cannot be observed, so its
+stop ends with the safe states.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from msgspec import Struct
 #: Seconds between two checks of a device, and between two progress reports.
 CHECK_EVERY, REPORT_EVERY = 0.25, 0.5
 
-#: Condition of a device that was not open in time, and of one whose safe state was only commanded.
+#: The condition of a device that was not open in time, and of a device whose safe state was only commanded.
 UNFINISHED = "opening was not complete"
 UNCONFIRMED = "its safe state was not confirmed"
 
@@ -24,7 +24,7 @@ UNCONFIRMED = "its safe state was not confirmed"
 class Settling(Struct):
     """A device: its time to come to rest in seconds, and its condition.
 
-    `confirmed_at` is None before its safe state was confirmed, `moving` before the first check in it.
+    `confirmed_at` is None before its safe state was confirmed, `moving` before the first check in this state.
     `reported` is the last report to the host.
     """
 
@@ -37,7 +37,7 @@ class Settling(Struct):
 
 
 class StandstillState(Struct, frozen=True):
-    """All that a Standstill stores between two events."""
+    """The data that a Standstill stores between two events."""
 
     devices: dict[str, Settling]
     stopped_at: float | None
@@ -74,12 +74,12 @@ class Standstill:
         way.confirmed_at, way.moving, way.check_at, way.reported = None, None, None, None
 
     def on_confirmed(self, name: str, now: float) -> None:
-        """Its safe state is confirmed."""
+        """The safe state of a device is confirmed."""
         way = self._devices[name]
         way.confirmed_at, way.check_at = now, now
 
     def on_motion_report(self, name: str, moving: str, now: float) -> bool:
-        """Records how it still moves, '' for not at all; returns whether the host needs a report."""
+        """Records how a device still moves, '' at rest; returns whether the host needs a report."""
         way = self._devices[name]
         if way.confirmed_at is None:
             return False
@@ -99,7 +99,7 @@ class Standstill:
         self._is_host_gone = True
 
     def on_muted(self, on: bool) -> None:
-        """The bus was muted or not: devices on a muted bus may fall silent."""
+        """The bus was muted or not: devices on a muted bus may stop sending."""
         self._muted = on
 
     def skip_wait(self) -> None:
@@ -124,7 +124,7 @@ class Standstill:
         return self._is_skipped or all(self._is_settled(way, now) for way in self._devices.values())
 
     def under_way_until(self) -> float:
-        """When the time of the confirmed devices that are not at rest is over; minus infinity without any."""
+        """The last time limit of the confirmed devices not at rest; minus infinity without any."""
         ends = (
             way.confirmed_at + way.bound
             for way in self._devices.values()
@@ -145,7 +145,7 @@ class Standstill:
         return found
 
     def due(self) -> float | None:
-        """When the next action is due, on the clock of the events."""
+        """The time when the next action is due, on the clock of the events."""
         times = [way.check_at for way in self._devices.values() if way.check_at is not None]
         if self._stopped_at is not None:
             waited = [way.bound for way in self._devices.values() if not self._is_at_rest(way)]

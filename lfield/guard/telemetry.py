@@ -1,7 +1,7 @@
 """Telemetry to the host: the newest values of each device, at a bounded rate.
 
 `flush_changes` runs before a result, an exception or a latch is sent: a program must never read telemetry
-that is older than the exception it has just caught.
+that is older than the exception that it has just caught.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lfield.clock import Clock
 from lfield.guard.messages import TelemetrySnapshot
 from lfield.manifest import DeviceValue, Observation
 
-#: Snapshots per second and device, at most.
+#: The maximum number of snapshots per second and device.
 RATE = 20.0
 
 
@@ -31,8 +31,8 @@ class _Latest(Struct):
 class Telemetry:
     """Collects values that drivers publish and calls `push` with snapshots, at most RATE per second.
 
-    `is_foreign_controlled` is called for each. While `is_blocked` (the host does not read), the timer pushes
-    nothing; the newest values are kept for the next push.
+    `is_foreign_controlled` is called for each snapshot. While `is_blocked` (the host does not read), the
+    timer pushes no snapshot; the newest values are kept for the next push.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Telemetry:
         self._timer: asyncio.TimerHandle | None = None
 
     def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
-        """Stores new values; an unchanged value is still fresh."""
+        """Stores new values; an unchanged value also counts as fresh."""
         latest, now = self._fresh(device), self._clock.monotonic()
         for name, value in values.items():
             latest.values[name] = Observation(value, now)
@@ -73,7 +73,7 @@ class Telemetry:
                 latest.values, latest.fresh, latest.is_foreign_controlled = {}, False, is_foreign
 
     def flush_changes(self) -> None:
-        """Pushes only if there is more than contact to report; contact alone waits for the timer."""
+        """Pushes only if there is more to report than a contact, which alone waits for the timer."""
         known = self._devices.items()
         if any(
             latest.values or self._is_foreign_controlled(device) != latest.is_foreign_controlled

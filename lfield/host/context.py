@@ -1,4 +1,4 @@
-"""What the parts of a host share: its mission and identity, and the protocol between core and part. Pure."""
+"""Data that the parts of a host share: mission and identity; the protocol between core and part. Pure."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class HostContext:
     """The environment of one host's core.
 
     `incarnation` identifies this run of the host. `unreachable_after` is in seconds. `journal_id` identifies
-    the journal, 0 without one; `records` are its contents, `times` when each was written (Unix time).
-    `random_bytes(n)` returns n random bytes; without it they come from `rng`. `stopwatch` measures the
-    seconds for which programs run, by default by `clock`; `run_limit` limits one run. A part appends effects
-    for the shell to `effects`.
+    the journal, 0 without one; `records` are its contents, `times` the Unix times at which they were written.
+    `random_bytes(n)` returns n random bytes; without that function `rng` generates them. `stopwatch` measures
+    the seconds for which programs run, by default by `clock`; `run_limit` limits one run. A part appends
+    effects for the shell to `effects`.
 
     `clock` stands still during a turn of the core, so that a replay needs one time for each turn.
     `fresh_time` is the real time, for coordinators that depart: their own clocks include the turn.
@@ -150,7 +150,7 @@ class Part:
     handles: Mapping[type[Control], MessageHandler] = {}
     #: The events that this part handles, in the order of the core's list of parts.
     observes: Mapping[type[HostEvent], EventHandler] = {}
-    #: When `on_tick` is due, in seconds of the host's clock; None for never.
+    #: The time when `on_tick` is due, in seconds of the host's clock; None for never.
     due: float | None = None
     #: Whether `on_tick` is called in each turn of the host, also before `due`.
     is_polled: bool = False

@@ -114,9 +114,9 @@ class HostCore:
         self.locator = Locator(context, self.coordinators, self.leases, self.commands)
         self.reachability = Reachability(context, membership, mobility)
         self.call_watch = CallWatch(context, machine, self.reachability)
-        #: When the coordinators of this host start, and what a new start waits for.
+        #: The start of the coordinators of this host, and the conditions for a new start.
         self.startup = Startup(context, self.coordinators, self.leases, membership)
-        #: In the order in which they receive events and are polled.
+        #: The parts, in the order in which they receive events and are polled.
         self._parts: list[Part | QueryRelay[Effect]] = [
             acks, self.directory, coordinators, self.reachability, relay, self.leases, self.startup,
             self.commands, self.pending_calls, self.reservations, self.person_calls, self.locator,
@@ -155,9 +155,10 @@ class HostCore:
             observer(event)
 
     def run(self) -> float | None:
-        """Run the parts that are due, then the machine; call it after every event, and when due.
+        """Run the parts that are due, then the machine.
 
-        Returns the seconds until the next call (0: at once), None if it is needed only after an event.
+        Call `run` after every event, and when it is due. Returns the seconds until the next call (0: at
+        once), None if the next call is needed only after an event.
         """
         now, recorder = self._clock.monotonic(), self.recorder
         if now >= recorder.due:
@@ -203,8 +204,8 @@ class HostCore:
         self.leases.start(first=first)
 
     def start_coordinators(self, *, first: bool = False) -> None:
-        """The other hosts had time to report: resume the coordinators in the journal, and start those of this
-        host that are nowhere.
+        """The other hosts had time to report: resume the coordinators in the journal, and start the
+        coordinators of this host that exist on no host.
 
         `first`: an operator asserts that there was no earlier start. Otherwise a host without a record waits
         for the reports of all other hosts.
@@ -236,7 +237,7 @@ class HostCore:
         return bool(own or self.coordinators.recovery.copies)
 
     def wait_reason(self, agent: Agent) -> str:
-        """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
+        """A short text about what a coordinator waits for besides its own work; '' if it does not wait."""
         if not agent.frozen:
             first = "waits for the first of its calls" if agent.waits_for_any else ""
             return first or self._inits.wait_reason(agent)
@@ -252,7 +253,7 @@ class HostCore:
         self._publish(WriteFailed(why))
 
     def on_disk_space(self, trouble: str) -> None:
-        """Why the journal should admit nothing more, or '': announced to the other hosts."""
+        """Announce the reason why the journal should admit nothing more, or '', to the other hosts."""
         accepted = log_messages.MIGRATIONS_ACCEPTED.line(host=self.name)
         rejected = log_messages.MIGRATIONS_REJECTED.line(host=self.name, reason=trouble)
         self._log(rejected if trouble else accepted)
@@ -268,7 +269,9 @@ class HostCore:
         self._on_pause_changed()
 
     def set_ballot_hold(self, ballot: bytes) -> None:
-        """The service of this robot holds the mission until the result of a ballot is known; b"": no more."""
+        """The service of this robot holds the mission until the result of a ballot is known; b"" ends the
+        hold.
+        """
         operator_commands.set_ballot_hold(self.coordinators, self.machine, ballot)
         self._on_pause_changed()
 
@@ -296,14 +299,14 @@ class HostCore:
             self._effects.append(WAKE_WAITERS)
 
     def needed_hosts(self) -> set[str]:
-        """The hosts to have links with now: neighbours, and hosts that are waited for."""
+        """The hosts that need links with this host now: neighbours, and hosts that this host waits for."""
         waited = self.mobility.needed_hosts() | self.leases.needed_hosts | self.reservations.needed_hosts
         waited.update(*(p.needed_hosts for p in (self.startup, self.call_watch, self.sequencing)))
         waited.update(self.membership.overlay_links(self._clock.monotonic()))
         return waited - {self.name}
 
     def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
-        """No link with a host can be made, for that reason; '' when it can again."""
+        """No link with a host can be made, for that reason; '' when a link is possible again."""
         self.recorder.on_link_refused(host, reason)
         self.startup.on_refused(host, reason, bundle)
 
@@ -316,8 +319,7 @@ class HostCore:
         return operator_commands.recover(self.coordinators, self.leases, self.name, self.here, request)
 
     def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:
-        """This host is about to stop: send all terminations, and the outcomes found, to every reachable
-        host."""
+        """Before this host stops: send all terminations, and the outcomes found, to every reachable host."""
         self.coordinators.apply_effects(self.mobility.broadcast_outcomes(found))
 
     # --- events of links ------------------------------------------------------------------------------
@@ -342,7 +344,7 @@ class HostCore:
         self._effects.append(WAKE_WAITERS)
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator arrived: it runs before its sender gets an answer."""
+        """A coordinator arrived: the coordinator runs before its sender gets an answer."""
         transit = self.reachability.transit_time(host) if self.machine.program.has_limits else 0.0
         self.coordinators.on_transfer(host, header, block, transit)
 

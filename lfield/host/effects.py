@@ -36,7 +36,7 @@ class Environment(DeviceReadings, LinkContacts, Protocol):
     def may_be_cancelled(self, agent: str, call: DeviceCallRecord) -> bool:
         """Whether a call of this instruction can be cancelled while under way, according to its manifest.
 
-        Then `CancelCall` cancels it; if not, it runs to its end.
+        If so, `CancelCall` cancels the call; otherwise the call runs to its end.
         """
 
     def round_trip(self, host: str) -> float | None:
@@ -88,9 +88,9 @@ class CallDevice(Struct, frozen=True):
 class CancelCall(Struct, frozen=True):
     """Cancel the device call that this thread waits for (`DeviceGuards.cancel`).
 
-    It follows the `CallDevice` that it refers to, and only if `Environment.may_be_cancelled`. The answer goes
-    is an input like every other, once: a DeviceError of kind CancelledException after the
-    device has done what its manifest prescribes, or the result if that was already in transit.
+    The effect follows the `CallDevice` that it refers to, and only if `Environment.may_be_cancelled`. The
+    answer is an input like every other, once: a DeviceError of kind CancelledException after the device has
+    done what its manifest prescribes, or the result if the result was already in transit.
     """
 
     agent: Agent
@@ -110,7 +110,7 @@ class MakeDeviceSafe(Struct, frozen=True):
 
 
 class DumpAgent(Struct, frozen=True):
-    """An agent died of an uncaught exception; its block is unchanged since then."""
+    """An agent died of an uncaught exception; the block is unchanged since then."""
 
     agent: Agent
 
@@ -118,7 +118,7 @@ class DumpAgent(Struct, frozen=True):
 class PersistRecords(Struct, frozen=True):
     """Write records and delete those of `keys` atomically, then call `HostCore.on_durable`.
 
-    Batches in the order of their numbers.
+    Batches are written in the order of their numbers.
     """
 
     number: int

@@ -1,8 +1,9 @@
 """Selects the engine of a host, and provides machine code: cached in the user's files, compiled in a child
 process.
 
-The memory for compiling is freed when that process ends, and its failure (address-space limit, no memory)
-does not affect the host. Only the output of that very process, read from its pipe, is used.
+The memory for compiling is freed when that process ends, and a failure of the process (address-space limit,
+no memory) does not affect the host. The host uses only the output that it reads from the pipe of this
+process.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from lfield.vm.engine_interface import Engine, Engines
 from lfield.vm.reference import ReferenceEngine as Reference
 from lfield.vm.wasm.engine_selection import MISSING, has_wasm, wasm_engine
 
-#: Larger than the code of any program.
+#: A limit that is larger than the code of any program.
 _MAX_BYTES = 256 << 20
 #: The number of cached programs, most recently compiled.
 MAX_PROGRAMS = 64
@@ -78,7 +79,7 @@ def code_folder() -> Path | None:
 class UserCodeCache:
     """Machine code of programs in files that only this user can write (`lfield.text.secure_files`).
 
-    Without such a folder everything is compiled at each start.
+    Without such a folder every program is compiled at each start.
     """
 
     def __init__(self, folder: Path | None, note: LogSink) -> None:
@@ -127,7 +128,7 @@ def compile_in_process(
     # Import the modules of this host and nothing from the working directory: the host executes the output.
     command = (sys.executable, "-P", "-m", _COMPILER, str(reservation), str(os.getpid()))
     modules = os.pathsep.join(folder for folder in sys.path if folder)
-    # The last line of its output is the reason; a traceback would hide it.
+    # The last line of the output is the reason; a traceback would hide it.
     environment = {**os.environ, "PYTHONPATH": modules, "RUST_BACKTRACE": "0"}
     try:
         ended = subprocess.run(
@@ -151,7 +152,7 @@ def compile_in_process(
 
 
 def _split_modules(data: bytes) -> list[bytes]:
-    """Parse a line of sizes, followed by that many bytes each; empty if malformed."""
+    """Parse a line of sizes, followed by the bytes of each size; empty if malformed."""
     line, _, rest = data.partition(b"\n")
     with suppress(ValueError):
         ends = list(accumulate(map(int, line.split()), initial=0))
@@ -165,7 +166,7 @@ def _compile_failure(why: str) -> EngineUnavailable:
 
 
 def _exit_reason(status: int, said: bytes) -> str:
-    """Why a process has ended, from the last line of its output."""
+    """The reason why a process has ended, from the last line of its output."""
     last = said.decode(errors="replace").strip().rpartition("\n")[2]
     how = f"was ended by signal {-status}" if status < 0 else f"ended with status {status}"
     return how + (f": {last}" if last else "")

@@ -27,14 +27,16 @@ if TYPE_CHECKING:
 
 
 class HostOptions(Struct):
-    """Options of a host. `listen` is the address to listen on, `control_socket` the one for local observers.
+    """Options of a host. `listen` is the address to listen on, `control_socket` the address for local
+    observers.
 
     `journal` stores the coordinators of this host; without one they are lost with its process, and all hosts
     must report before any coordinator starts. `first_start`: an operator asserts that there was no earlier
-    start. `random_bytes(n)` returns n random bytes. With `orders` it accepts stop and pause orders as
-    datagrams. `engine` is one of `lfield.vm.wasm.engine_selection.CHOICES`. `admission` decides who may have
-    links with it. `stopwatch` measures how long programs run, `on_failure` is called first when the host
-    fails. `record` is where its core and guards are recorded. Times are in seconds.
+    start. `random_bytes(n)` returns n random bytes. With `orders` the host accepts stop and pause orders as
+    datagrams. `engine` is one of `lfield.vm.wasm.engine_selection.CHOICES`. `admission` decides which members
+    may have links with this host. `stopwatch` measures how long programs run, `on_failure` is called first
+    when the host fails. `record` is the destination of the recordings of core and guards. Times are in
+    seconds.
     """
 
     listen: str
@@ -62,11 +64,11 @@ class HostEnvironment:
 
     @property
     def down_since(self) -> Mapping[str, float]:
-        """The hosts without a link, and since when."""
+        """The hosts without a link, each with the time since when."""
         return self._links.down_since
 
     def last_contact_at(self, host: str) -> float | None:
-        """When something last arrived from a host."""
+        """The time of the last message from a host."""
         return self._links.last_contact_at(host)
 
     def round_trip(self, host: str) -> float | None:
@@ -82,7 +84,7 @@ class HostEnvironment:
         return self._guards.last(device, quantity)
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why a device cannot be called now."""
+        """The reason why a device cannot be called now."""
         return self._guards.trouble(device)
 
     def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:

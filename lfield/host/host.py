@@ -64,8 +64,9 @@ from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 if TYPE_CHECKING:
     from lfield.host.stop_orders.datagram_shell import DatagramShell
 
-#: How long a starting host waits for the others' first reports before it starts its coordinators: one that is
-#: alive elsewhere must not be started twice. Longer than the interval between two dials.
+#: Seconds for which a starting host waits for the first reports of the other hosts before it starts its
+#: coordinators: a coordinator that is alive elsewhere must not be started twice. Longer than the interval
+#: between two dials.
 INITIAL_CONTACT_TIMEOUT = 1.5
 #: Receives the answer to an input.
 ResultCallback = Callable[[object], None]
@@ -139,7 +140,7 @@ class Host:
         keys, admission = self.options.orders, self.options.admission
         if keys is None:
             return None
-        # Loads cryptography, which a host without keys does not need.
+        # This import loads cryptography, which a host without keys does not need.
         from lfield.host.stop_orders.datagram_shell import order_datagrams
 
         stops = self._observers.order_executor
@@ -160,7 +161,7 @@ class Host:
     async def start(self) -> None:
         """Listen, open the devices, start the resources, query the other hosts, start the coordinators.
 
-        Raises AddressError and DevicesError: then nothing has moved.
+        Raises AddressError and DevicesError; then no device has moved.
         """
         self.address = await self.peers.open(self.options.listen)
         await self._open_control_socket(self.options.control_socket)
@@ -185,7 +186,7 @@ class Host:
         await self.journal_writer.flush()
 
     async def _open_control_socket(self, path: str) -> None:
-        """Open the control socket; without it the host runs all the same."""
+        """Open the control socket; the host also runs without it."""
         try:
             if path:
                 await self.peers.open_control_socket(path)
@@ -193,9 +194,9 @@ class Host:
             self.note(log_messages.NO_CONTROL_SOCKET.line(host=self.name, reason=error))
 
     async def stop(self, on_rest: Callable[[dict[str, str]], None] = lambda unsafe: None) -> dict[str, str]:
-        """Make the devices safe, wait until they are at rest, then close everything. Meanwhile no agent runs.
+        """Make the devices safe, wait until they are at rest, then close all files. No agent runs meanwhile.
 
-        Returns the devices that were not confirmed at rest, as `on_rest` gets them before the run ends.
+        Returns the devices that were not confirmed at rest, also passed to `on_rest` first.
         """
         if self._stopped:
             return {}
@@ -230,7 +231,7 @@ class Host:
     def dispatch(
         self, entry: inputs.HostInput | None = None, on_result: ResultCallback | None = None
     ) -> None:
-        """Pass an input to the core, or none, and run it; `on_result` gets what `HostInput.enter` returns.
+        """Pass an input to the core, or none, and run it; `on_result` gets the result of `HostInput.enter`.
 
         An input caused by an effect waits until all effects are executed.
         """
@@ -259,7 +260,7 @@ class Host:
             self._is_dispatching = False
 
     def _schedule_step(self, pause: float | None) -> None:
-        """Schedule the next turn after so many seconds; an earlier timer stays."""
+        """Schedule the next turn after `pause` seconds; an earlier timer is kept."""
         if pause is None:
             return
         due = self._loop.time() + pause
@@ -275,12 +276,12 @@ class Host:
         self.step()
 
     def fail(self, error: BaseException) -> None:
-        """Handle a bug in the host itself: nothing more runs, and the process ends."""
+        """Handle a bug in the host itself: no agent runs any more, and the process ends."""
         self._failures.fail(error)
 
     @property
     def failure(self) -> HostFailure | None:
-        """Why the host has failed, None if it has not."""
+        """The reason why the host has failed, None if it has not."""
         return self._failures.failure
 
     def on_unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -346,7 +347,7 @@ class Host:
         self.dispatch(inputs.Linked(hello))
 
     def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
-        """No link with a host can be made; '' as the reason: it can again."""
+        """No link with a host can be made; '' as the reason: a link is possible again."""
         self.dispatch(inputs.LinkRejected(host, reason, bundle))
 
     def on_unlinked(self, host: str, *, quietly: bool) -> None:
@@ -354,7 +355,7 @@ class Host:
         self.dispatch(inputs.Unlinked(host, quietly))
 
     def desired_hosts(self) -> Collection[str]:
-        """The hosts to have links with now."""
+        """The hosts that need links with this host now."""
         return cast("set[str]", self.apply(inputs.LinksPlanned()))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
@@ -391,7 +392,7 @@ class Host:
     # --- status ---------------------------------------------------------------------------------------
 
     def status(self) -> Status:
-        """What `lfield ps` shows of this host."""
+        """The status of this host that `lfield ps` shows."""
         self.apply(inputs.DirectorySampled())
         up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
         error = self.options.admission.persist_error

@@ -1,6 +1,8 @@
-"""The inputs of `HostCore` as data: all that enters it besides time and the answers of its environment.
+"""The inputs of `HostCore` as data: all data that enters the core besides time and the answers of its
+environment.
 
-The shell lets each `enter` the core. A recording contains them, and a replay lets them enter again.
+The shell passes each input to the core with `enter`. A recording contains the inputs, and a replay passes
+them to the core again.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ class HostInput(Struct, frozen=True, array_like=True):
     """Base class of all inputs."""
 
     def enter(self, core: HostCore) -> object:
-        """Pass it to the part of the core that handles it; returns the answer to an operator's order."""
+        """Pass the input to its part of the core; returns the answer to an operator's order."""
         raise NotImplementedError
 
 
@@ -70,7 +72,9 @@ class BatchDurable(HostInput, frozen=True, tag=5):
 
 
 class DiskSpaceChanged(HostInput, frozen=True, tag=6):
-    """Why the journal should admit nothing more, or ''."""
+    """The free space of the disk has changed: `trouble` is the reason why the journal should admit nothing
+    more, or ''.
+    """
 
     trouble: str
 
@@ -98,7 +102,7 @@ class Unlinked(HostInput, frozen=True, tag=8):
 
 
 class LinkRejected(HostInput, frozen=True, tag=9):
-    """No link with a host can be made, for that reason; '' when it can again."""
+    """No link with a host can be made, for that reason; '' when a link is possible again."""
 
     host: str
     reason: str
@@ -143,7 +147,7 @@ class MessageArrived(HostInput, frozen=True, tag=12):
 class DeviceAnswered(HostInput, frozen=True, tag=13):
     """A device has answered the `CallDevice` of that number.
 
-    `error` has device, reason and kind of a DeviceError; it is empty if there is a `value`.
+    `error` has device, reason and kind of a DeviceError; `error` is empty if there is a `value`.
     """
 
     number: int
@@ -186,7 +190,7 @@ class StopOrdered(HostInput, frozen=True, tag=16):
 
 
 class OrderExecuted(HostInput, frozen=True, tag=17):
-    """An order was executed for the first time; '' for a lock-out, which holds like a stop."""
+    """An order was executed for the first time; '' for a lock-out, which acts like a stop."""
 
     kind: str
     id: bytes = b""
@@ -223,7 +227,7 @@ class StartOrdered(HostInput, frozen=True, tag=20):
 
 
 class OutcomesFound(HostInput, frozen=True, tag=21):
-    """This host is about to stop: all terminations, and these outcomes, are announced."""
+    """Before this host stops, it announces all terminations, and these outcomes."""
 
     found: list[CoordinatorOutcome]
 
@@ -232,7 +236,7 @@ class OutcomesFound(HostInput, frozen=True, tag=21):
 
 
 class LinksPlanned(HostInput, frozen=True, tag=22):
-    """The shell asks for the hosts to have links with now (`HostCore.needed_hosts`)."""
+    """The shell asks for the hosts that need links with this host now (`HostCore.needed_hosts`)."""
 
     def enter(self, core: HostCore) -> set[str]:
         return core.needed_hosts()
@@ -274,9 +278,11 @@ class BallotHeld(HostInput, frozen=True, tag=26):
 
 
 class RunEnds(HostInput, frozen=True, tag=27):
-    """The devices of a stopping host are at rest, or are not waited for (`Coordinators.end_run`).
+    """The devices of a stopping host are at rest, or the host does not wait for them
+    (`Coordinators.end_run`).
 
-    Not before: a host that is killed while its vehicles land must not start the mission again.
+    The run must not end earlier: a host that is killed while its vehicles land must not start the mission
+    again.
     """
 
     def enter(self, core: HostCore) -> None:

@@ -23,8 +23,8 @@ class JournalWriter:
     """The writer of one host: calls `on_durable(number)` after each commit, `on_write_failed(why)` after a
     failure.
 
-    `on_space_changed(trouble)` is called when no more coordinators should be admitted, and with '' when they
-    may be again.
+    `on_space_changed(trouble)` is called when no more coordinators should be admitted, and with '' when
+    coordinators may be admitted again.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class JournalWriter:
 
     @property
     def times(self) -> Mapping[RecordKey, float]:
-        """When each record was written, in Unix time, in seconds."""
+        """The time when each record was written, in Unix time, in seconds."""
         return self._journal.times if self._journal else {}
 
     @property
@@ -66,7 +66,7 @@ class JournalWriter:
         return self._journal
 
     def delete(self, records: Collection[Record]) -> None:
-        """Delete unneeded records; after a failure, the next start does it."""
+        """Delete unneeded records; after a failure, the next start deletes them."""
         if records and self._journal:
             spawn(self._delete([key_of(page) for page in records], self._journal))
 
@@ -75,7 +75,7 @@ class JournalWriter:
             await journal.delete(keys)
 
     def persist(self, batch: PersistRecords) -> None:
-        """Write records, after those before."""
+        """Write records, after the records of earlier calls."""
         self._waiting.append(batch)
         if self._work is None or self._work.done():
             self._work = spawn(self._write())
@@ -114,7 +114,9 @@ class JournalWriter:
         self.poll_disk_space()
 
     async def flush(self, bound: float | None = None) -> bool:
-        """Wait until all pending records are on disk, at most so many seconds: whether they are."""
+        """Wait until all pending records are on disk, at most `bound` seconds; returns whether they are on
+        disk.
+        """
         waited = list(self._waiting)
         if self._work is not None:
             await asyncio.wait([self._work], timeout=bound)

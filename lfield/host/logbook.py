@@ -1,4 +1,4 @@
-"""Output of a host: what programs write goes to stdout, log lines go to stderr.
+"""Output of a host: program output goes to stdout, log lines go to stderr.
 
 Program output is unchanged, unless stdout is a terminal: there every control character is shown as an escape
 of L, since a program of another author must not be able to control the terminal.
@@ -22,7 +22,7 @@ class Logbook:
     """Two non-blocking streams (text/nonblocking_output.py): writing neither blocks nor fails."""
 
     def __init__(self, out: TextIO | None = None, log: TextIO | None = None) -> None:
-        # None where the process was started without the stream.
+        # None if the process was started without the stream.
         self._out: TextIO | None = out or sys.stdout
         self._log: TextIO | None = log or sys.stderr
         self._is_terminal = self._out is not None and self._out.isatty()
@@ -45,7 +45,7 @@ class Logbook:
             self._out.flush()
 
     def close(self) -> None:
-        """Write what is left at the end."""
+        """Write the rest of the output at the end."""
         self.flush()
 
     def note(self, text: LogLine, *, lines: bool = False) -> None:
@@ -71,11 +71,11 @@ class JsonLogbook(Logbook):
     def __init__(self, host: str, clock: Clock, out: TextIO | None = None) -> None:
         super().__init__(out)
         self._host, self._clock = host, clock
-        #: What each agent has written since its last line ended.
+        #: The output of each agent since its last complete line.
         self._incomplete: dict[str, str] = {}
 
     def write(self, text: str, agent: str) -> None:
-        """Output of an agent's program; a line is written when it has ended."""
+        """Output of an agent's program; each line is written when it is complete."""
         *lines, rest = (self._incomplete.pop(agent, "") + text).split("\n")
         if len(rest) > MAX_INCOMPLETE:
             lines, rest = [*lines, rest], ""
@@ -85,7 +85,7 @@ class JsonLogbook(Logbook):
             self._print(log_messages.PROGRAM_OUTPUT.line(agent=agent, text=line))
 
     def close(self) -> None:
-        """Write the lines that have not ended."""
+        """Write the incomplete lines."""
         for agent in list(self._incomplete):
             self.write("\n", agent)
 

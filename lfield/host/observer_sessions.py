@@ -52,19 +52,20 @@ from lfield.wire.subscription_messages import EventAck, Subscribe
 
 #: Seconds for which the answer to a start request waits for the reports of other hosts' vehicles.
 START_TIMEOUT = 3.0
-#: Seconds between two snapshots for observers that ask for one: requests in between share the next one.
+#: Seconds between two snapshots for observers that ask for one: requests in between share the next snapshot.
 SNAPSHOT_INTERVAL = 0.05
 #: The most links to which the result of one portal call is sent, and the most calls with such links.
 MAX_ANSWERS, MAX_WAITING = 4, 1024
-#: An observer that asked within so many seconds may be monitoring devices, and gets one more answer in time.
+#: The seconds after a request for which an observer may be monitoring devices: it then gets one more answer
+#: in time.
 OBSERVED_WITHIN, LINGER = 3.0, 1.5
 
 
 class ObserverSessions:
     """The observers of one host.
 
-    `dispatch` passes an event to the core, which `status` describes; `flush` waits until everything is on
-    disk, at most so many seconds, and returns whether it is.
+    `dispatch` passes an event to the core, which `status` describes; `flush` waits until all records are on
+    disk, at most the given seconds, and returns whether they are.
     """
 
     def __init__(
@@ -82,9 +83,9 @@ class ObserverSessions:
         self._dispatch, self._note, self._flush = dispatch, note, flush
         self.subscriptions = SubscriptionServer(core, guards, clock, status, links.monitor.latest)
         self.order_executor = OrderExecutor(core, guards, dispatch, note, flush)
-        #: When the status of the devices was last requested.
+        #: The time when the status of the devices was last requested.
         self._last_request = -OBSERVED_WITHIN
-        #: The links that wait for a snapshot, with the whole directory or not; when the last one was sent.
+        #: The links that wait for a snapshot, with the whole directory or not; the time of the last snapshot.
         self._waiting: dict[Link, bool] = {}
         self._last_sent = -SNAPSHOT_INTERVAL
         #: The links that wait for the results of portal calls, by the id of the call.
@@ -147,7 +148,7 @@ class ObserverSessions:
             await asyncio.sleep(LINGER)
 
     def _call_portal(self, message: PortalCallRequest, link: Link) -> None:
-        """Start a portal call; the answer comes by `on_call_result`, perhaps at once."""
+        """Start a portal call; `on_call_result` sends the answer, perhaps at once."""
         self._await_result(message.id, link)
         self._dispatch(PersonCalled(message, *_caller(link.who, is_assistant=message.is_assistant)), None)
 
@@ -164,7 +165,8 @@ class ObserverSessions:
             waiting.append(link)
             # A client that repeats its call over new links has no use for answers over old ones.
             del waiting[:-MAX_ANSWERS]
-            # Of links that are never answered, such as one that cancels the call of another.
+            # Discard the ids of links that are never answered, such as a link that cancels the call of
+            # another one.
             if len(self._callers) > MAX_WAITING:
                 del self._callers[next(iter(self._callers))]
 
@@ -174,7 +176,9 @@ class ObserverSessions:
             self._answer(link, result)
 
     async def _start_coordinators(self, message: StartRequest, link: Link) -> None:
-        """Start the waiting coordinators; answer when they have started, or with what they still wait for."""
+        """Start the waiting coordinators; answer when they have started, or with the conditions that they
+        still wait for.
+        """
         startup = self._core.startup
         answers: list[StartResponse] = []
         self._note(log_messages.START_REQUESTED.line(operator=link.who))
@@ -192,7 +196,7 @@ class ObserverSessions:
     async def _answer_when_durable(
         self, link: Link, entry: HostInput, response: Callable[[object], Control]
     ) -> None:
-        """Answer when the changes of an operator's request are on disk, not before."""
+        """Answer when the changes of an operator's request are on disk, not earlier."""
         answers: list[Control] = []
         self._dispatch(entry, lambda found: answers.append(response(found)))
         if await self._flush(None) and answers:
@@ -205,8 +209,9 @@ class ObserverSessions:
 
 
 def _caller(who: Identity, *, is_assistant: bool = False) -> tuple[str, str]:
-    """The name of a person, '' for a user of this computer; and the caller as events and log lines show
-    it."""
+    """The name of a person, '' for a user of this computer; and the name of the caller in events and log
+    lines.
+    """
     name = who.name if who.kind == "person" else ""
     shown = f"person {who.name}" if who.kind == "person" else f"user {who.name}"
     label = f"assistant of {shown}" if is_assistant else shown

@@ -47,7 +47,7 @@ class CapabilityQueries:
         return self._results.find_teams(capability, constraint, size)
 
     def explain_others(self, caller: str, capability: str, constraint: str | None) -> str:
-        """Why the other agents do not match, a line each. Raises ConstraintError."""
+        """The reasons why the other agents do not match, a line each. Raises ConstraintError."""
         self._refresh(caller)
         return self._results.explain_others(capability, constraint)
 
@@ -98,8 +98,9 @@ class MatchResults:
         ]
 
     def explain_others(self, capability: str, constraint: str | None) -> str:
-        """The number of offers, and why the other agents do not match, a line each. Raises
-        ConstraintError."""
+        """The number of offers, and the reasons why the other agents do not match, a line each. Raises
+        ConstraintError.
+        """
         query = self._compiled(constraint)
         answer = self._matcher.find(capability, query)
         refusals = self._matcher.explain(capability, query.condition)
@@ -118,7 +119,7 @@ class MatchResults:
         return compiled if values is None else bind(compiled, values)
 
     def _parsed(self, text: str) -> OfferQuery:
-        """The query in a text: only one that the program computes needs the parser of L."""
+        """The query in a text; only a text that the program computes needs the parser of L."""
         from lfield.capability.condition_compiler import compile_query, compile_template
 
         if text.endswith(SEPARATOR):
@@ -149,7 +150,7 @@ def to_vm_offer(offer: Offer, numbers: Mapping[str, int], count: int = 0, note: 
 
 
 def _growing_age(fact: Fact) -> float:
-    """The age of a fact; NaN if it is constant: only measured values age."""
+    """The age of a fact; NaN for a constant fact: only measured values age."""
     return fact.age if fact.of == "measured" or fact.age else math.nan
 
 
@@ -167,7 +168,7 @@ def _value_text(value: Value) -> str | None:
 
 
 def binding_label(offer: Offer) -> str:
-    """How an offer is realised, in words.
+    """A description of the realisation of an offer.
 
     `direct`; `equivalent: climb-lifts of Climb`; `composed: grip-and-climb of Grip (hand), Climb (sky)`.
     A component that is not realised directly is described in the same form.
@@ -180,7 +181,7 @@ def binding_label(offer: Offer) -> str:
 
 
 def _component_label(part: Offer, parent: bool) -> str:
-    """The component's agent if it has a parent, and how it is realised."""
+    """The component's agent if it has a parent, and its realisation."""
     parts = [part.agent] if parent else []
     if part.kind != "direct":
         parts.append(binding_label(part))

@@ -55,7 +55,7 @@ def status_of(
     clock: Clock,
     persist_error: str,
 ) -> Status:
-    """The status of a host that has been `up` for so many seconds, to the millisecond."""
+    """The status of a host that has been `up` for that number of seconds, to the millisecond."""
     now = clock.monotonic()
     lateness = guards.lateness if guards.telemetry else None
     return Status(
@@ -141,7 +141,7 @@ def _agent(agent: Agent, core: HostCore) -> AgentStatus:
 
 
 def state_of(agent: Agent, core: HostCore, states: list[int]) -> str:
-    """The state of an agent whose threads are in these states: that of the most active one."""
+    """The state of an agent whose threads are in these states: the state of the most active thread."""
     busiest = STATE_NAMES[min(states, key=STATE_PRIORITY.index)] if states else "idle"
     return agent.ended or core.wait_reason(agent) or busiest
 
@@ -166,7 +166,7 @@ def telemetry_of(values: Mapping[str, DeviceValue]) -> dict[str, Telemetry]:
 
 
 def _bounded(value: bool | int | float | str | Sequence[int | float]) -> Telemetry:
-    """A value, bounded for a message: of a long one the beginning."""
+    """A value, bounded for a message: a long value is cut."""
     match value:
         case bool() | int() | float():
             return value

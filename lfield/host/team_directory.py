@@ -1,8 +1,8 @@
 """Directory of the team's agents: a host samples its own, reports them, and receives the reports of others.
 
 Every host samples its agents once in LOOK_EVERY seconds and sends the changes, in one message for all agents.
-A newly linked host receives everything once. In a program without capabilities of a registry none of this
-happens: the condition of agents outside a registry is derived on demand from what this host knows anyway.
+A newly linked host receives the whole directory once. A program without capabilities of a registry needs no
+samples: the condition of agents outside a registry is derived on demand from the data of this host.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ SAMPLE_EVERY = 1.0
 
 
 class TeamDirectory(Part):
-    """Keeps the `directory` of a host up to date. Only agents in the `registry` are in it; whether other
-    resources of the team can be called follows from their devices here, and from the links.
+    """Keeps the `directory` of a host up to date. Only agents in the `registry` are in it; the devices here
+    and the links determine whether other resources of the team can be called.
 
     `machine` runs the agents of this host, `holder_of` returns the holder of a reservation. `liveness` is the
     membership of the team.
@@ -133,13 +133,13 @@ class TeamDirectory(Part):
         return self._codec.encode(delta, self._clock.monotonic())
 
     def refusals(self) -> dict[str, str]:
-        """Why each resource of the team cannot be called, '' if it can, as of the last sample."""
+        """The reason why each resource of the team cannot be called, '' if it can, as of the last sample."""
         self.directory.answer_for("")
         known = {candidate.agent: candidate.refusal for candidate in self.directory.all_candidates()}
         return known | {agent.id: self._refusal(agent) for agent in self._others}
 
     def _refusal(self, agent: DeployedMember) -> str:
-        """Why a resource outside the registry cannot be called, as far as this host knows."""
+        """The reason why a resource outside the registry cannot be called, as far as this host knows."""
         if agent.host == self._here:
             why = self._sampler.unavailability(agent.id) or self._holder_of(agent.id)
         else:

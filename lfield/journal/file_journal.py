@@ -27,7 +27,7 @@ _DISK_NEARLY_FULL = "its disk has room for what is here, and for no more"
 RESULT = 1024
 _FREE_SPACE = "make room on that disk"
 
-#: Why writing failed, and the remedy, by SQLite's result codes.
+#: The reason why writing failed, and the remedy, by SQLite's result codes.
 _REASONS = {
     sqlite3.SQLITE_FULL: ("no space is left on its disk", _FREE_SPACE),
     sqlite3.SQLITE_READONLY: ("its disk is read-only", "mount it for writing, or name another --state"),
@@ -41,7 +41,7 @@ _REASONS = {
 class FileJournal(JournalBase):
     """See `Journal`. Open it before the loop starts, and close it after the loop has ended.
 
-    `path` is that of `journal_file`; `report` receives a sentence for every damage found. Raises
+    `path` is the path of `journal_file`; `report` receives a sentence for every damage found. Raises
     JournalError, JournalInUse and ForeignJournal.
     """
 
@@ -88,7 +88,7 @@ class FileJournal(JournalBase):
         await asyncio.get_running_loop().run_in_executor(self._thread, self._commit, changes)
 
     def _commit(self, changes: Sequence[Change]) -> None:
-        """All changes, or none. Raises JournalError."""
+        """Commit all changes, or none. Raises JournalError."""
         try:
             self._check_file_present()
             trouble = self._reserve_space()
@@ -125,7 +125,9 @@ class FileJournal(JournalBase):
             self._store.probe_write()
 
     def _check_file_present(self) -> None:
-        """Data in a deleted file is on no disk. Raises OSError and sqlite3.Error."""
+        """Check that the file was not deleted, because its data would be lost. Raises OSError and
+        sqlite3.Error.
+        """
         if self.path.stat().st_ino != self._inode:
             raise FileNotFoundError(0, "another file was put in its place")
         if self._reopen or (self._log and _number(wal_file(self.path)) != self._log):
@@ -157,7 +159,7 @@ class FileJournal(JournalBase):
                 self._sizes.pop(key, None)
 
     def _reserve_space(self) -> str:
-        """Reserve disk space; returns why that failed, '' if it succeeded."""
+        """Reserve disk space; returns the reason of a failure, '' after success."""
         try:
             self._reservation.grow_to(sum(self._sizes.values()))
         except OSError:
@@ -174,7 +176,7 @@ class FileJournal(JournalBase):
             self._store.restart_log()
 
     def _load(self, owner: JournalOwner, report: Callable[[str], None]) -> LoadedJournal:
-        """Raises JournalError."""
+        """Load the journal. Raises JournalError."""
         try:
             try:
                 return open_journal(self.path, owner, report, self._clock.time())

@@ -56,7 +56,7 @@ class GroupCommit:
                 kept.cancel()
             raise
         except Exception as error:
-            # Changes queued meanwhile may depend on those that have failed.
+            # Changes that were queued during the commit may depend on the failed ones.
             failed, self._waiting = (*group, *self._waiting), []
             for _, kept in failed:
                 if not kept.done():

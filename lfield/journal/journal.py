@@ -21,24 +21,23 @@ class Change(NamedTuple):
 class Journal(Protocol):
     """Stores records. Calls of `change`, `persist` and `delete` are committed in the order of the calls.
 
-    None of them blocks the event loop: calls during a commit become the next commit. When a commit fails, all
-    calls that are queued then fail too, so that no change is stored whose predecessor was lost. Each call is
-    atomic.
+    No call blocks the event loop: calls during a commit become the next commit. When a commit fails, all
+    queued calls also fail, so that no change is stored whose predecessor was lost. Each call is atomic.
     """
 
     @property
     def identity(self) -> int:
         """The random id of this journal.
 
-        A journal that has lost records gets a new id: it can no longer say of an unknown transfer that it
+        A journal that has lost records gets a new id: it cannot assert any more that an unknown transfer
         never arrived.
         """
 
     @property
     def trouble(self) -> str:
-        """Why no new coordinator should be admitted, '' if there is no reason.
+        """The reason why no new coordinator should be admitted, '' if there is no reason.
 
-        `persist` may still succeed as long as reserved space is left.
+        `persist` may succeed as long as reserved space is left.
         """
 
     def records(self) -> list[Record]:
@@ -46,16 +45,16 @@ class Journal(Protocol):
 
     @property
     def times(self) -> Mapping[RecordKey, float]:
-        """When each record was written, in Unix time, in seconds."""
+        """The time when each record was written, in Unix time, in seconds."""
 
     async def change(self, changes: Sequence[Change]) -> None:
         """Make changes in order, all or none. Raises JournalError, as `persist`."""
 
     async def persist(self, records: Sequence[Record]) -> None:
-        """Write records over those with the same keys; all are on disk when it returns.
+        """Write records over those with the same keys; all are on disk when the method returns.
 
-        Without records it probes whether a journal in trouble can write again.
-        Raises JournalError; then it is unknown whether they are stored, and the call may be retried.
+        Without records the method tests whether a journal in trouble can write again. Raises JournalError;
+        then it is unknown whether the records are stored, and the call may be retried.
         """
 
     async def delete(self, keys: Collection[RecordKey]) -> None:
@@ -65,7 +64,9 @@ class Journal(Protocol):
         """The number of commits in the last 60 s; `now` is in seconds of the monotonic clock."""
 
     def close(self) -> None:
-        """Close it so that the next start is quick. Finishes a commit under way; later calls fail."""
+        """Close the journal so that the next start is quick. Finishes a commit under way; later calls
+        fail.
+        """
 
 
 #: The file name in the folder of a host.
@@ -73,7 +74,7 @@ FILE_NAME = "host.journal"
 
 
 def journal_file(folder: Path | None, deployment: str, host: str) -> Path:
-    """The path of a host's journal: in the named folder, else in that of the service or user.
+    """The path of a host's journal: in the given folder, otherwise in the folder of the service or user.
 
     Raises NoHomeFolder.
     """

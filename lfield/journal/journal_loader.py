@@ -70,7 +70,7 @@ def open_journal(path: Path, owner: JournalOwner, report: Callable[[str], None],
     if not path.exists():
         _write_journal(path, _new_head(owner), {}, [], now)
         with suppress(OSError):
-            # Its folder may be new as well.
+            # The folder may also be new.
             sync_folder(path.parent.parent)
     try:
         check_wal(path)
@@ -83,11 +83,11 @@ def open_journal(path: Path, owner: JournalOwner, report: Callable[[str], None],
 
 
 def unusable_reason(path: Path) -> str:
-    """Why the path cannot be a journal; '' for a regular file or a missing one."""
+    """The reason why the path cannot be a journal; '' for a regular file or a missing one."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
-        # A symbolic link leads to a journal elsewhere, which must not be lost.
+        # A symbolic link leads to a journal in another place, which must not be lost.
         return "it is a link that leads nowhere" if os.path.islink(path) else ""
     if stat.S_ISDIR(mode):
         return "it is a folder"
@@ -95,7 +95,7 @@ def unusable_reason(path: Path) -> str:
 
 
 def is_damage(error: sqlite3.Error) -> bool:
-    """Whether an error is due to the contents of the file; otherwise to the disk or the folder."""
+    """Whether an error is due to the contents of the file, and not to the disk or the folder."""
     if isinstance(error, BrokenFile):
         return True
     # SQLITE_ERROR means that a table or column is missing.
@@ -116,7 +116,7 @@ def check_wal(path: Path) -> None:
 
 
 def check_format(path: Path, store: Store) -> None:
-    """Check that it is a journal of a supported version. Raises ForeignJournal and BrokenFile."""
+    """Check that the database is a journal of a supported version. Raises ForeignJournal and BrokenFile."""
     if store.application_id() != APPLICATION:
         raise BrokenFile("it is not the database of a journal")
     if store.format_version() > FORMAT:
@@ -134,8 +134,8 @@ def classify_entries(
 ) -> JournalScan:
     """Separate valid from damaged entries. Raises ForeignJournal for a record of a newer version.
 
-    `may_be_stale`: records may be older than the newest that were stored, so mutable ones are not trusted.
-    `attempts`: the records are not used, so one of a newer version only counts as unreadable.
+    `may_be_stale`: records may be older than the newest stored ones, so mutable records are not trusted.
+    `attempts`: the records are not used, so a record of a newer version only counts as unreadable.
     """
     found = JournalScan({}, [])
     for place, entry in entries:
@@ -159,7 +159,7 @@ def classify_entries(
 
 
 def _is_mutable(record: Record) -> bool:
-    """Whether a later record with this key may differ: not for programs and endings."""
+    """Whether a later record with this key may differ, which is not the case for programs and endings."""
     if isinstance(record, PendingCallRecord):
         return not record.outcome
     return isinstance(record, StartCounter | RunMarker) or (
@@ -170,13 +170,13 @@ def _is_mutable(record: Record) -> bool:
 def is_promise_lost(entry: JournalEntry) -> bool:
     """Whether a quorum vote is lost with this entry, as far as its key can be trusted.
 
-    Then the start counter is lost too: the host must contact all others before it votes again.
+    If so, the start counter is also lost: the host must contact all others before it votes again.
     """
     return entry.key.kind not in ("copy", "starts", "run", "paused", "stopped", "program", "reservation")
 
 
 def describe_loss(entry: JournalEntry) -> str:
-    """The subject and time of a record in words, as far as its key and time can be trusted."""
+    """A description of a record by its subject and time, as far as its key and time can be trusted."""
     kind, name, number = entry.key
     meanings = {
         "copy": f"the copy of {name}, start {number}",
@@ -226,7 +226,7 @@ def _load(path: Path, owner: JournalOwner, report: Callable[[str], None], now: f
 def _salvage_file(
     path: Path, owner: JournalOwner, report: Callable[[str], None], now: float, why: str
 ) -> None:
-    """Move a whole file aside, after its readable records were written into a new one."""
+    """Move a whole file aside, after its readable records were written into a new file."""
     left = salvage_database(path)
     if left.header is not None:
         _check_owner(path, left.header, owner)
@@ -292,7 +292,7 @@ def _finish_replacement(path: Path) -> str:
     if not whole.exists():
         return ""
     aside = _aside_path(path)
-    # The log first: it must not be used with the new file.
+    # The log is first, because it must not be used with the new file.
     for ending in ("-wal", ""):
         with suppress(FileNotFoundError):
             path.with_name(path.name + ending).rename(aside.with_name(aside.name + ending))

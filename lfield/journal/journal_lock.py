@@ -11,10 +11,10 @@ from pathlib import Path
 
 from lfield.errors import JournalError, JournalInUse
 
-#: Sources of a computer's id, best first. The serial number of a board is not copied with a disk image; a
-#: machine-id is, but on a PC unprivileged users can read nothing else.
+#: Sources of a computer's id, best first. The serial number of a board is not copied with a disk image. A
+#: machine-id is copied, but on a PC unprivileged users can read no other id.
 _SOURCES = ("proc/device-tree/serial-number", "etc/machine-id")
-#: Only a hash is stored, as machine-id(5) requires.
+#: The key of the hash: only a hash is stored, as machine-id(5) requires.
 _PURPOSE = b"lfield journal "
 #: The lock file of a journal, with the process id of its owner.
 LOCK_NAME = "host.lock"
@@ -52,7 +52,7 @@ class JournalLock:
             process = self._owner_process()
             self.release()
             raise JournalInUse(str(journal), process) from None
-        # On a full disk the process id is missing; the lock is valid all the same.
+        # On a full disk the process id is missing; the lock is valid nevertheless.
         with suppress(OSError):
             os.pwrite(self._descriptor, b"%-20d\n" % os.getpid(), 0)
 

@@ -23,19 +23,20 @@ from lfield.journal.salvage import salvage_database, temporary_copy
 from lfield.journal.store import BrokenFile, DamagedEntry, JournalHeader, Store
 from lfield.text.input_files import require_file
 
-#: SQLite's error without write permission: it needs a shared-memory index next to the log, also for reading.
+#: SQLite's error without write permission: SQLite needs a shared-memory index next to the log, also for
+#: reading.
 _NO_INDEX = (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)
 
 
-#: How often a log that seems damaged is read again, and the delay between in seconds.
+#: The number of times that a seemingly damaged log is read again, and the delay between two reads in seconds.
 ATTEMPTS, RETRY_DELAY = 3, 0.05
 
 
 class ReadOnlyView(NamedTuple):
-    """The contents of a journal. `header` is None if that is damaged; `fault` is the fault of the file.
+    """The contents of a journal. `header` is None if the header is damaged; `fault` is the fault of the file.
 
-    `moved_aside` are damaged entries that were moved aside when a host opened the journal, `damaged` those
-    still among the records.
+    `moved_aside` are damaged entries that were moved aside when a host opened the journal, `damaged` the
+    damaged entries among the records.
     """
 
     header: JournalHeader | None
@@ -46,7 +47,7 @@ class ReadOnlyView(NamedTuple):
 
 
 def open_read_only(path: Path) -> ReadOnlyView:
-    """Everything that can be read. Raises InputFileError, DamagedFileError and ForeignJournal."""
+    """All readable contents. Raises InputFileError, DamagedFileError and ForeignJournal."""
     if fault := unusable_reason(path):
         # Opening a pipe would block until a writer opens it.
         raise InputFileError(str(path), fault)
@@ -72,13 +73,15 @@ def _store(path: Path) -> Iterator[Store]:
         with closing(store):
             yield store
         return
-    # A read-only file does not change meanwhile.
+    # A read-only file does not change during the read.
     with temporary_copy(path) as copy, closing(Store.open_read_only(copy)) as store:
         yield store
 
 
 def _open_in_place(path: Path) -> Store | None:
-    """None if SQLite needs to write and may not. Raises sqlite3.Error."""
+    """The contents of the journal in place; None if SQLite needs to write but may not. Raises
+    sqlite3.Error.
+    """
     store = Store.open_read_only(path)
     try:
         store.format_version()
@@ -91,7 +94,9 @@ def _open_in_place(path: Path) -> Store | None:
 
 
 def _read_valid(path: Path) -> ReadOnlyView:
-    """Raises sqlite3.DatabaseError for a file that is damaged as a whole."""
+    """The contents of a valid database. Raises sqlite3.DatabaseError for a file that is damaged as a
+    whole.
+    """
     _check_wal(path)
     with _store(path) as store:
         check_format(path, store)

@@ -18,15 +18,15 @@ from lfield.wire.fields import Count, Hash
 #: The version of all records written here. A record of a newer version is not read.
 VERSION = 2
 
-#: States of a stored copy. There is no FROZEN: nothing was sent, so the copy is the one that last ran here.
+#: States of a stored copy. FROZEN is not stored: the copy was not sent, so it counts as the copy that last
+#: ran here.
 StoredState = Literal["ABSENT", "RUN", "PREPARED", "MOVED", "EXITED"]
 
 _CHECKED = struct.Struct("<qdH")
 
 
 class RecordKey(NamedTuple):
-    """The key of a record: its kind, and the agent or digest (in hex) and number that it belongs to, if
-    any."""
+    """The key of a record: its kind, and its agent or digest (in hex) and number, if any."""
 
     kind: str
     name: str = ""
@@ -39,8 +39,8 @@ class CoordinatorRecord(Struct, frozen=True, array_like=True, forbid_unknown_fie
     `sequence` is the highest transfer number that this start used or tried here. `kind` and `reason` are the
     refusal of that transfer, '' for none. `target` is the destination of the transfer, and `receiver_memory`
     the id of that host's journal, or of its process if it has none. `outcome`, `detail` and `ended_on` belong
-    to EXITED. `program` is the hash of the program and deployment of the block, b"" without a block;
-    `block` its bytes, b"" for none. `doubt` is why the fate of a sent copy is unknown, '' if it is known.
+    to EXITED. `program` is the hash of the program and deployment of the block, b"" without a block; `block`
+    its bytes, b"" for none. `doubt` is the reason why the state of a sent copy is unknown, '' if it is known.
     """
 
     agent: str
@@ -92,7 +92,8 @@ class ReservationRecord(Struct, frozen=True, array_like=True, forbid_unknown_fie
 
 
 class SequenceRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="sequence"):
-    """The last start of a startable coordinator by this host, its home, for a `request` of another one.
+    """The last start of a startable coordinator by this host, its home, for a `request` of another
+    coordinator.
 
     `stopping` is the coordinator that has ordered its end, '' for none.
     """
@@ -133,7 +134,7 @@ class PauseFlag(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
 
 
 class EmergencyStopFlag(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
-    """Why an emergency stop locks the devices of this host, '' after it was lifted.
+    """The reason why an emergency stop locks the devices of this host, '' after it was lifted.
 
     `order` is the id of the last stop or lift order, b"" for a lock-out and in records of version 1.
     """
@@ -150,7 +151,7 @@ class FenceRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class ProgramRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="program"):
-    """The program that blocks refer to, stored once for each digest that records name.
+    """The program of blocks, stored once for each digest in other records.
 
     `code` is a program file (bytecode/encoding.py). `members`, `types` and `hosts` are the ids and types of
     the team's agents and its hosts, in order: proxies and trails are indexes into them.
@@ -222,7 +223,7 @@ class UnsupportedRecordVersion(RecordError):
 
 
 class JournalEntry(NamedTuple):
-    """A record as stored: `written_at` in Unix time, seconds; `checksum` covers everything else."""
+    """A record as stored: `written_at` in Unix time, seconds; `checksum` covers the other fields."""
 
     key: RecordKey
     written_at: float

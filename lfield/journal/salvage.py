@@ -1,9 +1,9 @@
 """Salvages records from a copy of a damaged database, which is repaired until SQLite can read it.
 
-SQLite refuses a file that is shorter than its first page says, or whose first page is damaged. The former
-is padded with zeros; the latter gets the first page of a new journal, since the tables of all journals
-begin at the same pages. A damaged log is applied frame by frame. Only records with a correct checksum
-count.
+SQLite refuses a file that is shorter than its first page states, or whose first page is damaged. A short file
+is padded with zeros; a damaged first page is replaced by that of a new journal, since the tables of all
+journals begin at the same pages. A damaged log is applied frame by frame. Only records with a correct
+checksum count.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _PAGE = 4096
 class SalvageResult(NamedTuple):
     """The salvaged contents: the owner of the journal, if known, and entries by position.
 
-    `is_complete`: only the log was damaged, and nothing is missing. `may_be_stale`: entries may be older than
-    the newest.
+    `is_complete`: only the log was damaged, and no entry is missing. `may_be_stale`: entries may be older
+    than the newest ones.
     """
 
     header: JournalHeader | None
@@ -53,7 +53,7 @@ def temporary_copy(path: Path) -> Iterator[Path]:
 
 
 def salvage_database(path: Path) -> SalvageResult:
-    """Everything that can be read of a database. Raises OSError."""
+    """All readable contents of a database. Raises OSError."""
     with temporary_copy(path) as copy:
         mended = _merge_wal(copy)
         _pad_file(copy)
@@ -86,7 +86,9 @@ def _read(copy: Path) -> SalvageResult:
 
 
 def _merge_wal(copy: Path) -> bool | None:
-    """Apply a damaged log to a copy: whether it is complete, None if it is not damaged."""
+    """Apply a damaged log to a copy; returns whether the result is complete, None if the log is not
+    damaged.
+    """
     log = read_wal(copy)
     if not log.fault:
         return None
@@ -101,7 +103,7 @@ def _pad_file(copy: Path) -> None:
     if len(start) < _PAGES.size:
         return
     size = _PAGE_SIZE.unpack_from(start)[0] * _PAGES.unpack_from(start)[0]
-    # Bounded: a sparse file takes no space, but time to read.
+    # The number is limited, because a sparse file takes no space, but takes time to read.
     if copy.stat().st_size < size < 1 << 32:
         os.truncate(copy, size)
 

@@ -18,18 +18,19 @@ STEP_BYTES = 64 << 10
 
 
 class SpaceReservation:
-    """The file of one journal. `is_released`: it was deleted to free its space."""
+    """The file of one journal. `is_released`: the file was deleted to free its space."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.is_released = path, False
-        #: Bytes that must be free in addition: space just released is not available for new copies.
+        #: The bytes that must be free in addition: released space is not available for new copies.
         self._extra_free_bytes = 0
-        #: Bytes that must be free since space was short: otherwise an arrival after a departure would fail
-        #: again.
+        #: The bytes that must be free after a shortage of space: otherwise an arrival after a departure would
+        #: fail again.
         self._missing_bytes = 0
 
     def grow_to(self, record_bytes: int) -> None:
-        """Reserve space for overwriting copies of so many bytes in all. Raises OSError if there is none.
+        """Reserve space for overwriting copies of `record_bytes` bytes in total. Raises OSError if there is
+        none.
 
         A record is written twice: into SQLite's log, and from there into the database. After a failure the
         reservation succeeds only when all missing bytes are free.
@@ -59,7 +60,7 @@ class SpaceReservation:
             os.close(descriptor)
 
     def release(self) -> None:
-        """Free the space, if that has not been done."""
+        """Free the space, if it has not been freed."""
         with suppress(OSError):
             self.path.unlink()
             self._extra_free_bytes, self.is_released = MIN_BYTES, True

@@ -1,6 +1,6 @@
 """The SQLite database of a journal; its write-ahead log is on disk when a commit returns.
 
-Blocking. One thread at a time uses a `Store`.
+Calls block. One thread at a time uses a `Store`.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from msgspec import Struct
 from lfield.journal.records import JournalEntry, RecordKey
 from lfield.wire.fields import Count
 
-#: The version of the tables. A newer one is refused, older ones are read.
+#: The version of the tables. A newer version is refused, older ones are read.
 FORMAT = 1
 #: "LFJN", SQLite's application id.
 APPLICATION = 0x4C464A4E
-#: Pages of 4 KiB after which the log is checkpointed: few, since the log must fit the reserved space.
+#: Pages of 4 KiB after which the log is checkpointed: the number is small, since the log must fit the
+#: reserved space.
 _LOG_PAGES = 256
 #: The size to which the log is truncated.
 _LOG_BYTES = 1 << 20
@@ -114,7 +115,7 @@ class Store:
         return self._number("PRAGMA application_id")
 
     def format_version(self) -> int:
-        """The version of its tables."""
+        """The version of the tables."""
         return self._number("PRAGMA user_version")
 
     def fault(self) -> str:
@@ -146,7 +147,7 @@ class Store:
     # --- writing --------------------------------------------------------------------------------------
 
     def commit(self, groups: Sequence[tuple[Sequence[JournalEntry], Iterable[RecordKey]]]) -> None:
-        """Write entries and remove keys, in this order: all are on disk, or nothing has changed."""
+        """Write entries and remove keys, in this order: all are on disk, or the database has not changed."""
         with self._transaction():
             for entries, keys in groups:
                 self._write(entries)
@@ -225,7 +226,7 @@ def _readable_errors() -> Iterator[None]:
 
 
 def _connect(name: str) -> sqlite3.Connection:
-    # The commit thread is not the one that opens the database; they never use it at the same time.
+    # The commit thread is not the thread that opens the database; the two never use it at the same time.
     connection = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False, timeout=1.0)
     connection.text_factory = lambda data: data.decode(errors="replace")
     return connection

@@ -1,10 +1,11 @@
-"""Parser of the write-ahead log (WAL) of a journal, to detect damage that SQLite takes for its end.
+"""Parser of the write-ahead log (WAL) of a journal, to detect damage that SQLite interprets as the end of the
+log.
 
-A frame is an image of a page of the database; its checksum continues that of the frame before
-(sqlite.org/walformat.html). SQLite uses the frames before the first with a wrong checksum. That is right
-after a power cut: nothing follows a commit that is not durable. But when a bit of an older frame is
-damaged, or the whole log is missing, the later commits would be lost silently, and the host would answer
-from an older state.
+A frame is an image of a page of the database; its checksum continues the checksum of the previous frame
+(sqlite.org/walformat.html). SQLite uses the frames before the first frame with a wrong checksum. This is
+correct after a power cut: no frame follows a commit that is not durable. But when a bit of an older frame is
+damaged, or the whole log is missing, the later commits would be lost silently, and the host would answer from
+an older state.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ Checksums = tuple[int, int]
 
 
 class WalFrame(NamedTuple):
-    """The image of page `number`. `size` is that of the database in pages at the end of a commit, else 0.
+    """The image of page `number`. `size` is the size of the database in pages at the end of a commit, else 0.
 
-    Without a correct checksum (`fit`), number and size are as the damaged frame states them.
+    Without a correct checksum (`fit`), number and size are as stated in the damaged frame.
     """
 
     number: int
@@ -59,7 +60,9 @@ def wal_file(database: Path) -> Path:
 
 
 def set_dirty_flag(database: Path) -> None:
-    """Record that a log exists until the journal is closed in order: a missing log was then lost."""
+    """Record that a log exists until the journal is closed in order: with this record, a missing log is a
+    lost log.
+    """
     with suppress(OSError):
         _flag_file(database).touch(0o600)
         sync_folder(database.parent)
@@ -107,8 +110,9 @@ def read_wal(database: Path) -> Wal:
 
 
 def rebuild_database(database: bytes, log: Wal) -> tuple[bytes, bool]:
-    """The database with all valid frames applied; whether it is complete (every invalid frame is
-    replaced)."""
+    """The database with all valid frames applied, and whether it is complete (every invalid frame is
+    replaced).
+    """
     last = max(
         (at for at, frame in enumerate(log.frames) if frame.is_checksum_valid and frame.size), default=-1
     )

@@ -13,18 +13,18 @@ G = TypeVar("G")
 
 
 def same_stage(connection: object) -> int:
-    """Treats all guests as being at the same handshake stage."""
+    """Treats all guests as if they were at the same handshake stage."""
     return 0
 
 
 class ConnectionLimiter(Generic[G]):
-    """At most `limit` unauthenticated connections. When full, evicts a random one from the address with the
-    most.
+    """At most `limit` unauthenticated connections. When full, it evicts a random connection of the address
+    with the most.
 
-    Connections of one address at different handshake stages count as of different addresses. Among addresses
-    with equally many, a less trusted one is chosen. A flood from one address therefore cannot lock out
-    others. At the flooding address the choice is random (`rng`), so a legitimate caller eventually succeeds;
-    evicting always the oldest or the newest could lock it out.
+    Connections of one address at different handshake stages count as connections of different addresses.
+    Among addresses with equally many, a less trusted one is chosen. A flood from one address therefore cannot
+    lock out others. At the flooding address the choice is random (`rng`), so a legitimate caller eventually
+    succeeds; a rule that always evicts the oldest or the newest could lock out this caller.
     """
 
     def __init__(
@@ -38,7 +38,9 @@ class ConnectionLimiter(Generic[G]):
         self._addresses: dict[G, str] = {}
 
     def admit(self, connection: G, address: str, *, last: bool = False) -> G | None:
-        """Admit a connection; `last`: evict one even below the limit. Returns the evicted one, or None."""
+        """Admit a connection; `last`: evict a connection even below the limit. Returns the evicted one, or
+        None.
+        """
         full = last or len(self._addresses) >= self._limit
         pushed = self._pick_evicted() if full and self._addresses else None
         if pushed is not None:
@@ -50,7 +52,7 @@ class ConnectionLimiter(Generic[G]):
         return iter(list(self._addresses))
 
     def release(self, connection: G) -> None:
-        """Remove a closed connection; unknown ones are ignored."""
+        """Remove a closed connection; unknown connections are ignored."""
         address = self._addresses.pop(connection, None)
         if address is not None:
             self._sources.on_failed(address)

@@ -36,7 +36,7 @@ def send_fault_command(path: Path, settings: Sequence[str]) -> dict[str, Any]:
 
 
 def is_stale_socket(path: Path) -> bool:
-    """Whether a socket is stale: its process was killed."""
+    """Whether a socket is stale because its process was killed."""
     try:
         with socket.socket(socket.AF_UNIX) as link:
             link.settimeout(ANSWER_TIMEOUT)

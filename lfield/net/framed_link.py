@@ -55,13 +55,13 @@ if TYPE_CHECKING:
 #: Bytes of a message that count as one more message (`FramedLink.weight`).
 _HEAVY = 1 << 11
 
-#: More oversized bytes than this factor times the limit prove that the peer sends without waiting.
+#: More oversized bytes than this factor times the limit prove that the peer does not wait for answers.
 _OVERSIZE_FACTOR = 16
-#: Sent before queued data: stops, and heartbeats, so that a busy link is not taken for a silent one.
+#: Messages sent before queued data: stops; and heartbeats, so that a busy link does not seem silent.
 _URGENT = (*STOP_MESSAGES, Ping, Pong)
-#: Never withheld: these cause no coordinator to be sent, and some of them stop robots.
+#: Messages that are never withheld: they cause no transfer of a coordinator, and some of them stop robots.
 _NEVER_WITHHELD = (*_URGENT, HandshakeRefused)
-#: Sent regularly by hosts that have nothing to do with each other.
+#: Messages that hosts without common work send regularly.
 _BACKGROUND = (Ping, Pong, DirectoryUpdate, GossipUpdate, Backpressure, RevocationUpdate)
 
 
@@ -78,8 +78,8 @@ class FramedLink:
         self.peer = peer
         self.who: Identity = ANONYMOUS
         self.closed = self.is_answered = False
-        #: Data withheld while coordinators and answers are withheld, else None; how much has arrived since,
-        #: and which coordinators.
+        #: The data withheld while coordinators and answers are withheld, else None; since then, the weight of
+        #: the messages that arrived, and their coordinators.
         self._withheld: list[tuple[Buffer, TrafficKind]] | None = None
         self._weight, self._withheld_weight = 0, set[str]()
         #: See `Link.work` and `Link.traffic`.
@@ -87,12 +87,11 @@ class FramedLink:
         self._error: LfieldError | None = None
         self._max_block = max_block
         self._history = TransferHistory()
-        #: Made for the first compressed message: it takes 50 kB.
+        #: The compression, created for the first compressed message because it takes 50 kB.
         self._compression: LinkCompression | None = None
-        #: Whether the peer is known to understand compressed messages; how long they may be.
+        #: Whether the peer is known to support compressed messages; the maximum length of these messages.
         self._may_compress, self._longest = False, 0
-        #: Whether the peer is on this computer, and whether the network takes less time for bytes than the
-        #: processor for coding them.
+        #: Whether the peer is on this computer, and whether sending bytes takes less time than coding them.
         self._is_local = self._is_fast = False
         self._decoder = frame_decoder(self._oversize)
         #: Decoder of a frame that arrives in parts.
@@ -107,7 +106,9 @@ class FramedLink:
         self.write(self.coded(data, kind))
 
     def write_now(self, data: Buffer) -> None:
-        """Write a coordinator immediately if nothing waits; same as `write` in transports without a queue."""
+        """Write a coordinator immediately if no frame waits; same as `write` in transports without a
+        queue.
+        """
         self.write(data)
 
     def write_urgent(self, data: Buffer) -> None:
@@ -115,8 +116,9 @@ class FramedLink:
         self.write(data)
 
     def coded(self, data: Buffer, kind: TrafficKind) -> Buffer:
-        """A frame as it is sent: messages are compressed unless that is too slow, stops never. Called in the
-        order of sending."""
+        """A frame in its form for sending: messages are compressed unless this is too slow, stops never.
+        Called in the order of sending.
+        """
         if self._is_fast or not self._may_compress or kind == TrafficKind.STOP:
             return data
         if data[HEADER_SIZE - 1] != CONTROL:
@@ -146,7 +148,9 @@ class FramedLink:
         self._is_fast = self._is_local or round_trip <= FAST_PATH
 
     def mark_local(self) -> None:
-        """The peer is on this computer: transfers are sent whole and not kept. Both ends call it, or none."""
+        """The peer is on this computer: transfers are sent whole and not kept. Either both ends call this
+        method, or neither.
+        """
         self._is_local = self._is_fast = True
 
     def on_idle(self) -> None:
@@ -210,7 +214,7 @@ class FramedLink:
             self._on_error(error)
 
     def receive_frame(self, data: Buffer) -> bool:
-        """Process these bytes if they are exactly one frame; otherwise do nothing."""
+        """Process these bytes if they are exactly one frame; otherwise without effect."""
         if self.closed or (frame := self._decoder.decode_single_frame(data)) is None:
             return False
         kind, payload = frame
@@ -270,7 +274,7 @@ class FramedLink:
         if self._withheld is not None:
             self._weigh(header.agent)
         if not self._is_local:
-            # Before the handler, which may send the coordinator back.
+            # This call precedes that of the handler, which may send the coordinator back.
             self._history.keep(header.agent, payload, is_sent=False)
         self.handler.on_transfer(self, header, block)
 
@@ -290,7 +294,7 @@ class FramedLink:
         """Send the last transfer of a coordinator whole; the peer has no reference for its delta."""
         payload = self._history.whole(agent)
         if payload is None:
-            # Another transfer has replaced it. The next link starts with queries about both.
+            # Another transfer has replaced this one. The next link starts with queries about both.
             raise WireError(f"a whole transfer of {agent} was requested, and none was sent last")
         data = frame(TRANSFER, payload)
         if self._withheld is not None:
@@ -299,9 +303,9 @@ class FramedLink:
             self.write_frame(data, TrafficKind.HOP)
 
     def withhold(self, *, on: bool) -> None:
-        """Withhold coordinators and answers from now on, or send those withheld.
+        """Withhold coordinators and answers from now on, or send the withheld ones.
 
-        They are lost if the link is lost meanwhile, like data in a socket.
+        Withheld messages are lost if the link is lost, like data in a socket.
         """
         waiting, self._withheld = self._withheld, [] if on else None
         if on:
@@ -313,11 +317,11 @@ class FramedLink:
 
     @property
     def weight(self) -> int:
-        """How much has arrived since answers are withheld, in messages; 0 while they are not.
+        """The amount of data that has arrived since answers are withheld, in messages; 0 while they are not.
 
-        A transfer counts one, a message one and one more per _HEAVY bytes. A host repeats a coordinator only
-        after an answer, so a second transfer of it is proof of flooding (PROVEN), as is an amount of
-        oversized blocks that no host sends before an answer.
+        A transfer counts as one message, a message as one and one more per _HEAVY bytes. A host repeats a
+        coordinator only after an answer, so a second transfer of it is proof of flooding (PROVEN), as is an
+        amount of oversized blocks that no host sends before an answer.
         """
         skipped = self._decoder.skipped + self._parts.skipped
         return self._weight + PROOF_WEIGHT * skipped // (_OVERSIZE_FACTOR * self._max_block)
@@ -327,7 +331,9 @@ class FramedLink:
         self._withheld_weight.add(agent)
 
     def deliver_pending(self, data: Buffer) -> Iterator[None]:
-        """The same for a sender of possibly thousands: processes at most one message per call."""
+        """As `received`, for a sender of possibly thousands of messages: each step processes at most one
+        message.
+        """
         rest = memoryview(data)
         while True:
             yield
@@ -343,7 +349,7 @@ class FramedLink:
         """The stream has ended; the first known reason is reported."""
         half = not self.closed and (self._decoder.is_mid_frame or self._parts.is_mid_frame)
         self.closed = True
-        # Release now, not at garbage collection: unauthenticated links must not accumulate.
+        # Release the buffers now, not at garbage collection: unauthenticated links must not accumulate.
         self._decoder.discard_partial()
         self._parts.discard_partial()
         if self._error is None and error is None and half:

@@ -1,8 +1,8 @@
 """Handshake of a link (Hello messages): a sans-IO state machine that checks identity and compatibility.
 
-Both sides send `Hello` at once. A side that rejects the other's answers with `HandshakeRefused`, so that both
-logs have the same reason, and closes. TLS or the kernel has authenticated the peer before; the names in
-`Hello` must agree with that.
+Both sides send `Hello` at once. A side that rejects the Hello of the other answers with `HandshakeRefused`,
+so that both logs have the same reason, and closes the link. TLS or the kernel has already authenticated the
+peer; the names in `Hello` must agree with that identity.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ class Handshake:
 
     `own` is the Hello of this side, `who` the authenticated peer, and `decision` its present authorisation,
     replaced when it is reassessed. `hosts` are the names in the deployment, `linked` the incarnations of the
-    hosts with a live link, as of `own`: the link of an earlier incarnation of the peer must be closed, since
-    `own` does not include what it may still send. `dialled` is the name of the dialled host; None on the
-    accepting side. An observer (`own.role`) has no deployment: it passes no hosts and accepts any.
+    hosts with a live link when `own` was made: the link of an earlier incarnation of the peer must be closed,
+    since `own` does not include the messages that it may still send. `dialled` is the name of the dialled
+    host; None on the accepting side. An observer (`own.role`) has no deployment: it passes no hosts and
+    accepts any host.
 
     Send `first_message`, pass every message to `receive` until `peer` is set, and later ones to `admit`. When
-    one raises, send `refusal`, if any, and close the link with the error.
+    one of them raises an error, send `refusal`, if any, and close the link with the error.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Handshake:
         self.own, self.who, self.decision = own, who, decision
         self.peer: Hello | None = None
         self.refusal: HandshakeRefused | None = None
-        #: The bundle of a refused peer; b"" if it has none or it is unknown.
+        #: The bundle of a refused peer; b"" if the peer has none or the bundle is unknown.
         self.refused_bundle = b""
         self._hosts, self._dialled = hosts, dialled
         self._linked: Mapping[str, int] = {} if linked is None else linked
@@ -58,7 +59,7 @@ class Handshake:
         self.decision = decision
 
     def first_message(self) -> Hello:
-        """The first message. Raises HandshakeError if the peer must learn nothing of this host."""
+        """The first message. Raises HandshakeError if the peer must receive no data of this host."""
         who = self.who
         if who.kind == "stranger":
             self._refuse("unknown certificate authority: hosts and operators have keys from 'lfield keys'")
@@ -99,7 +100,8 @@ class Handshake:
 
     def admit(self, message: Message) -> None:
         """Check a message after the handshake. Raises WireError for a message that is invalid there,
-        HandshakeError for one that the peer has no permission to send."""
+        HandshakeError for a message that the peer has no permission to send.
+        """
         if isinstance(message, Hello | IncompatibleHello):
             raise WireError("received a second Hello on one link")
         if self.peer is None:
@@ -149,7 +151,8 @@ class Handshake:
 
     def _check_mission(self, hello: Hello) -> None:
         """All hosts of a team run the same bundle, or equal parts of it if built locally from files.
-        Operators compare bundles, so both digests are in the message where there are two."""
+        Operators compare bundles, so the message has both digests if there are two.
+        """
         if "observer" in (self.own.role, hello.role):
             return
         different, remedy = self._first_difference(hello)

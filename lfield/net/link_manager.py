@@ -2,8 +2,8 @@
 
 Needed hosts are dialled repeatedly until they answer. Of two neighbours, the first in the deployment dials;
 any other link is made by the host that needs it, and closed after a while without use. Of two crossing dials,
-that of the first host wins, so two hosts have one link and may start in any order. A link is established when
-both have accepted the other's Hello: each then sends a Ping, and a rejected one gets a Refuse.
+the dial of the first host wins, so two hosts have one link and may start in any order. A link is established
+when both have accepted the other's Hello: each then sends a Ping; a rejected host gets a Refuse.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class LinkManager:
         self._required_until: dict[str, float] = {}
         #: The diallers, by host.
         self._diallers: dict[str, Dialler] = {}
-        #: When each host last dialled, and the banned hosts.
+        #: The time when each host last dialled, and the banned hosts.
         self._last_incoming, self._bans = dict[str, float](), TemporaryBans()
         self._links: dict[str, Session] = {}
         self.monitor = LinkMonitor(
@@ -98,7 +98,7 @@ class LinkManager:
         self._initial_contact = InitialContact(hosts, here)
         #: Time of last contact of each unlinked host.
         self._last_contacts: dict[str, float] = {}
-        #: Since when each needed host has had no link, on the monotonic clock.
+        #: The time since when each needed host has had no link, on the monotonic clock.
         self.down_since: dict[str, float] = {}
 
     @property
@@ -131,7 +131,8 @@ class LinkManager:
         """Return when every host has completed a handshake or failed to answer, at most after `bound`
         seconds.
 
-        A host that dials this one cannot be distinguished from one that is down, so it is waited for.
+        A host that is to dial this one cannot be distinguished from a host that is down, so this host waits
+        for it.
         """
         for host in self._initial_contact.missing:
             self.require_link(host)
@@ -186,7 +187,7 @@ class LinkManager:
         self._dial(host)
 
     def is_new(self, host: str) -> bool:
-        """Whether a host has no link, and this one has just started to dial it."""
+        """Whether a host has no link, and this host has just started to dial it."""
         since = self.down_since.get(host, -NEW_HOST_PERIOD)
         caller = self._diallers.get(host)
         called = caller is not None and not caller.has_failed
@@ -209,14 +210,15 @@ class LinkManager:
             self._diallers[host] = Dialler(self, self._transport, self._clock, host, at, note)
 
     def _is_unreachable(self, host: str) -> bool:
-        """Whether a host has had neither link nor dial for so long that both dial: it may not find this host,
-        for instance after a change of network card."""
+        """Whether a host has had no link and has not dialled for so long that both sides dial: it may not
+        find this host, for example after a change of the network card.
+        """
         now = self._clock.monotonic()
         return (
             now - max(self.down_since.get(host, now), self._last_incoming.get(host, 0.0)) >= BOTH_CALL_AFTER
         )
 
-    # --- what diallers ask ----------------------------------------------------------------------------
+    # --- queries of diallers --------------------------------------------------------------------------
 
     def link_of(self, host: str) -> Session | None:
         """See `DialOwner.link_of`."""
@@ -271,7 +273,7 @@ class LinkManager:
                 session.suspect()
                 self._dial(host)
 
-    # --- what sessions report -------------------------------------------------------------------------
+    # --- reports of sessions --------------------------------------------------------------------------
 
     def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
         if dialled is None:
@@ -286,21 +288,20 @@ class LinkManager:
         )
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
-        """Whether this host's own dial wins over a crossing one of time `made_at`."""
+        """Whether this host's own dial wins over a crossing dial of time `made_at`."""
         caller = self._diallers.get(host)
         own = caller.session if caller is not None else None
         if own is None or not own.connected:
             return False
         if self._here < self._hosts.get(host, -1):
-            # A host that dials long after its link was accepted has lost that link, perhaps without notice
-            # here.
+            # A host that dials long after its link was accepted has lost this link, perhaps undetected here.
             return made_at < own.linked_at
         if not own.linked:
             own.link.close()
         return False
 
     def reauthorise(self) -> None:
-        """Close the links of peers that lost their authorisation, and reduce the permissions of others.
+        """Close the links of peers that lost their authorisation, and reduce the permissions of other peers.
 
         A revoked host completes pending work as a host; its observer links are closed.
         """
@@ -312,7 +313,9 @@ class LinkManager:
         self.standbys.close_rejected()
 
     def _on_revocations(self, data: bytes) -> None:
-        """Apply a certificate revocation list; forward a new one to all, and last to the revoked."""
+        """Apply a certificate revocation list; forward a new list to all hosts, and to the revoked
+        ones last.
+        """
         if apply_revocations(self._admission, data, self._owner.note):
             for host in self._links:
                 self.send(host, RevocationUpdate(data))

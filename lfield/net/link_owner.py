@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 #: Maximum number of remembered log lines, which are not repeated.
 MAX_DISTINCT_LINES = 100
-#: Maximum number of log lines per period about received data, which may contain ever new names.
+#: Maximum number of log lines per period about received data, which may contain new names each time.
 MAX_LINES, PERIOD = 20, 60.0
 
 
 def apply_revocations(admission: AdmissionPolicy, data: bytes, note: Callable[[LogLine], None]) -> bool:
-    """Apply a certificate revocation list of a peer; whether it was new. Raises WireError."""
+    """Apply a certificate revocation list of a peer; returns whether it was new. Raises WireError."""
     try:
         lines = admission.on_revocation_list(data)
     except KeysError as error:
@@ -49,10 +49,10 @@ class LinkOwner(Protocol):
         """A link with a host was established."""
 
     def on_unlinked(self, host: str, *, quietly: bool) -> None:
-        """A link with a host was closed; `quietly` when this host closed it as unneeded."""
+        """A link with a host was closed; `quietly` when this host closed it because it was unneeded."""
 
     def desired_hosts(self) -> Collection[str]:
-        """The hosts to have links with now."""
+        """The hosts that need links with this host now."""
 
     def on_message(self, host: str, message: Control, link: Link) -> None:
         """A message arrived; `host` is '' for an observer."""
@@ -73,8 +73,8 @@ class LinkOwner(Protocol):
 class RateLimitedLog:
     """Rate-limited log of link errors, each line once: a refused peer dials again every second.
 
-    At most MOST_LINES lines per PERIOD, and one with the number of suppressed lines; `now` is the clock, in
-    seconds.
+    At most MOST_LINES lines per PERIOD, and a line with the number of suppressed lines; `now` is the clock,
+    in seconds.
     """
 
     def __init__(self, note: Callable[[LogLine], None], now: Callable[[], float]) -> None:
@@ -106,8 +106,9 @@ class RateLimitedLog:
 class TeamAddresses(NamedTuple):
     """The hosts of the deployment with their numbers, and their addresses; `here` is the number of this host.
 
-    `neighbours` are the hosts that want a link with this one as it does with them. With live values, which
-    age between two heartbeats, the heartbeats of idle links are as frequent as those of busy ones.
+    `neighbours` are the hosts that need a link with this host, as this host needs one with them. With live
+    values, which age between two heartbeats, the heartbeats of idle links are as frequent as those of busy
+    ones.
     """
 
     hosts: Mapping[str, int]
@@ -120,7 +121,7 @@ class TeamAddresses(NamedTuple):
 class InitialContact:
     """First contacts with the other hosts: a handshake, or a failed attempt to dial.
 
-    `hosts` are those of the deployment with their numbers; `here` is the number of this host.
+    `hosts` are the hosts of the deployment with their numbers; `here` is the number of this host.
     """
 
     def __init__(self, hosts: Mapping[str, int], here: int) -> None:
@@ -152,9 +153,9 @@ class InitialContact:
 class RefusedHosts:
     """Hosts whose links are refused by one of the two sides.
 
-    `hosts` are those of the deployment. `on_refused` is called on each change with the host, the reason, and
-    the digest of its bundle (b"" if unknown); the reason is '' when the host no longer answers, or was
-    linked.
+    `hosts` are the hosts of the deployment. `on_refused` is called on each change with the host, the reason,
+    and the digest of the bundle of the host (b"" if unknown); the reason is '' when the host no longer
+    answers, or was linked.
     """
 
     def __init__(
@@ -166,7 +167,7 @@ class RefusedHosts:
         self._last: dict[str, tuple[str, bytes]] = {}
 
     def report(self, host: str, reason: str, bundle: bytes = b"") -> None:
-        """Record a refusal by either side; '' as the reason clears it."""
+        """Record a refusal by either side; the reason '' clears it."""
         if host not in self._hosts or self._last.get(host, ("", b"")) == (reason, bundle):
             return
         self._last[host] = reason, bundle

@@ -17,7 +17,7 @@ from lfield.net.transport import split_address, split_addresses
 def own_host(hosts: Sequence[str], addresses: Mapping[str, str]) -> str:
     """The host of a deployment that is this computer, by name or address. Raises UsageError.
 
-    A host without an entry in `addresses` has its name for an address.
+    The address of a host without an entry in `addresses` is its name.
     """
     names = {
         socket.gethostname().lower(),
@@ -38,7 +38,7 @@ def own_host(hosts: Sequence[str], addresses: Mapping[str, str]) -> str:
 
 
 def _is_own_address(address: str) -> bool:
-    """Whether its host resolves to an address of this computer."""
+    """Whether the host of `address` resolves to an address of this computer."""
     try:
         candidates = socket.getaddrinfo(split_address(address)[0], 0, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError, AddressError):

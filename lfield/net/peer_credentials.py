@@ -5,8 +5,8 @@ stop: they can enter the folder of a service's run, and of a run started by root
 no permission.
 
 A client accepts answers only from its own user, root, and members of the group `lfield`, since an answer may
-claim that everything is stopped. Root accepts all: it lists the hosts of every user, and has checked the
-owner of the folder.
+claim that all hosts are stopped. Root accepts answers from all users: it lists the hosts of every user, and
+has checked the owner of the folder.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ def identity_of_caller(made: socket.socket) -> Identity:
 
 
 def identity_of_listener(made: socket.socket) -> Identity:
-    """The process that listens at a Unix socket to which this one connected. With `may` all if trusted."""
+    """The process that listens at a Unix socket to which this one connected. The identity has all permissions
+    in `may` if it is trusted.
+    """
     return _peer_identity(made, listener_identity)
 
 
@@ -64,7 +66,7 @@ def listener_identity(user: int, groups: Collection[int], own: int, members: int
 
 
 def caller_identity(user: int, groups: Collection[int], own: int, members: int | None) -> Identity:
-    """The identity of a calling user; `own` runs this host, `members` is the group lfield."""
+    """The identity of a calling user; the user `own` runs this host, `members` is the group lfield."""
     if user in (own, ROOT):
         may = ALL_RIGHTS
     elif members is not None and members in groups:

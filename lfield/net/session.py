@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lfield.net.link_owner import RefusedHosts
     from lfield.net.transport import Link
 
-#: Seconds for an incoming handshake, and for an outgoing one, which is shorter since dialling is repeated.
+#: Seconds for an incoming handshake, and for an outgoing one, which is shorter because dialling is repeated.
 HANDSHAKE_TIMEOUT, ANSWER_TIMEOUT = 10.0, 5.0
 
 
@@ -32,13 +32,13 @@ class SessionOwner(Protocol):
     """The owner of a host's sessions."""
 
     def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
-        """The handshake for a new link, made when it can be sent."""
+        """The handshake for a new link, created when it can be sent."""
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
         """Whether this host's own dial wins over a crossing one of time `made_at`."""
 
     def on_standby_hello(self, link: Link, hello: Hello, session: Session) -> None:
-        """A caller offers its connection as a standby; `session` receives nothing more from it."""
+        """A caller offers its connection as a standby; `session` receives no more messages from it."""
 
     def on_greeted(self, session: Session, hello: Hello) -> None:
         """A link has completed its handshake on both sides."""
@@ -88,16 +88,16 @@ class Session:
         self._owner, self._now, self._was_standby = owner, owner.now, was_standby
         self.dialled = dialled
         self.connected = False
-        #: When the link was made, and when the peer accepted it.
+        #: The time when the link was made, and when the peer accepted it.
         self.made, self.linked_at = self._now(), math.inf
         self.hello: Hello | None = None
-        #: When data last arrived, and when this host last had no use for the link.
+        #: The time when data last arrived, and when this host last had no use for the link.
         self.last_received = self.last_idle = 0.0
         self.reason = ""
         self.closed = asyncio.Event()
         #: Whether the link is silent and a replacement is being tried.
         self.is_suspected = False
-        #: The event of the time while silent, and the end of the session.
+        #: Set while the link is silent, and at the end of the session.
         self.suspected = asyncio.Event()
         self._timer: asyncio.TimerHandle | None = None
 
@@ -111,11 +111,11 @@ class Session:
         self.connected = True
 
     def mark_idle(self, now: float) -> None:
-        """This host has no use for the link at this time."""
+        """Record that this host has no use for the link at this time."""
         self.last_idle = now
 
     def await_greeting(self, link: Link) -> None:
-        """Wait for the Hello of a caller, with a time-out. A stranger receives nothing before it."""
+        """Wait for the Hello of a caller, with a time-out. A stranger receives no data before the Hello."""
         self.link = link
         self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
         if link.who.kind != "stranger":
@@ -180,7 +180,7 @@ class Session:
     def _on_greeting(self, link: Link, message: Message) -> None:
         """Accept or refuse the peer's Hello."""
         if self._was_standby and isinstance(message, Ping | Pong):
-            # A keep-alive that was under way.
+            # This message is a keep-alive that was under way.
             return
         if isinstance(message, Hello) and message.role == "standby" and self.dialled is None:
             self._cancel_timeout()
@@ -211,7 +211,7 @@ class Session:
         raise HandshakeError(reason)
 
     def _on_accepted(self, hello: Hello) -> None:
-        """A message after the Hello: the peer has accepted ours."""
+        """A message has arrived after the Hello: the peer has accepted the Hello of this host."""
         self.last_received = self._now()
         if self.linked_at < math.inf:
             if self.is_suspected:
@@ -231,9 +231,9 @@ class Session:
         return hello.host
 
     def on_excess(self, link: Link, error: CpuBudgetExceeded) -> None:
-        """A host exceeds its CPU budget; its link is closed if that lasts too long.
+        """A host exceeds its CPU budget; its link is closed if this lasts too long.
 
-        It may have no handshake yet: handshakes can exceed the budget too.
+        The host may not have completed a handshake: handshakes can exceed the budget too.
         """
         self.link, who = link, link.who
         if not error.closes:
@@ -289,7 +289,7 @@ class Session:
         self.suspected.set()
 
     def on_replaced(self) -> None:
-        """Another link replaces this one. Queued data would keep a silent one open for a while."""
+        """Another link replaces this one. Queued data would keep a silent link open for a while."""
         if self.is_suspected:
             self.link.abort()
         else:
@@ -338,7 +338,7 @@ class Session:
 def live_incarnations(
     links: Mapping[str, Session], is_needed: Callable[[str], bool], now: float
 ) -> dict[str, int]:
-    """Incarnations of the linked hosts; the end of an unneeded link may be unnoticed."""
+    """Incarnations of the linked hosts; the end of an unneeded link may be undetected."""
     return {
         host: session.hello.incarnation
         for host, session in links.items()

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 #: Seconds for a peer to accept the last message of a closing link.
 FLUSH_TIMEOUT = 5.0
-#: Maximum bytes queued for an observer: some of the longest answers.
+#: Maximum bytes queued for an observer: a few of the longest answers.
 MAX_OBSERVER_PENDING = 4 << 20
 #: The identity of a peer that is no host of the team, from TLS or the kernel.
 OBSERVER_KINDS = ("person", "local")
@@ -42,11 +42,12 @@ CLOSED_PEER = "a peer that closed at once"
 
 
 class StreamLink(FramedLink, asyncio.Protocol):
-    """One connection in plain bytes, dialled if `calls`. `identify` gives the identity at a network address.
+    """One connection in plain bytes, dialled if `calls`. `identify` returns the identity at a network
+    address.
 
     Messages of a member are processed within its CPU budget. Other callers wait at the `scheduler` for each
-    message, and reading pauses meanwhile. Data before the Hello of a dialled peer, or from a host dialled by
-    an observer at a Unix socket, is processed at once.
+    message, and reading pauses during the wait. Data before the Hello of a dialled peer, or from a host
+    dialled by an observer at a Unix socket, is processed at once.
     """
 
     _transport: asyncio.Transport
@@ -69,7 +70,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._waiting: list[tuple[Buffer, TrafficKind]] = []
         self._sending = SendQueue(self.coded)
         self._flush_timer: asyncio.TimerHandle | None = None
-        #: Whether a message waits as that of a guest, and whether the peer is an observer.
+        #: Whether the peer was dialled or has a role other than observer, and whether its role is observer.
         self._is_direct, self._is_greeted_observer = calls, False
         #: The authenticated member, and whether its handshake is complete.
         self._member, self._is_rationed = "", False
@@ -115,8 +116,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._put(data)
 
     def write_urgent(self, data: Buffer) -> None:
-        """See `FramedLink.write_urgent`. Only frames of this turn, such as a Hello, may precede. If none
-        waits, it is sent with this turn."""
+        """See `FramedLink.write_urgent`. Only frames of this turn, such as a Hello, may precede. If no frame
+        waits, the data is sent in this turn.
+        """
         if not self._sending.is_busy and self._waiting_size <= HIGH_WATER:
             self.write_frame(data, TrafficKind.STOP)
             return
@@ -141,7 +143,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._queue_frame(data, kind)
 
     def _queue_frame(self, data: Buffer, kind: TrafficKind) -> None:
-        """Pass a frame to the transport, or queue it until that accepts data."""
+        """Pass a frame to the transport, or queue it until the transport accepts data."""
         if not self._sending.is_busy and len(data) <= self._sending.part:
             self._put(self.coded(data, kind))
             return
@@ -229,7 +231,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        # The common case: one message of a member, with no other waiting.
+        # The common case is one message of a member while no other message waits.
         if (
             self._is_rationed
             and self._remaining is None
@@ -246,7 +248,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._scheduler.members.join(self, self._member)
 
     def _process_coming(self, coming: Iterator[None]) -> None:
-        """Process input until the peer proves to be a member or a guest; then it is scheduled."""
+        """Process input until the peer proves to be a member or a guest; then the scheduler processes it."""
         if self._is_rationed:
             self._queue(coming)
             return
@@ -265,7 +267,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
     @property
     def _is_observer(self) -> bool:
-        """Whether the peer is no host, as far as known. A returning host waits for no other."""
+        """Whether the peer is no host, as far as known. A returning host does not wait for other peers."""
         return self._is_greeted_observer or (not self._is_direct and self.who.kind in OBSERVER_KINDS)
 
     def pause_reading(self, *, on: bool) -> None:

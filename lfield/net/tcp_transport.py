@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from lfield.net.tls import TlsIdentity
     from lfield.net.transport import Link, LinkHandler, Listener
 
-#: Connections accepted at once, and the backlog. Asyncio uses one number for both, and would accept more of a
-#: crowd at once than there are descriptors, before any can be evicted.
+#: Connections accepted at once, and the backlog. Asyncio uses one number for both, and would accept more
+#: callers at once than there are descriptors, before it can evict any.
 ACCEPT_BATCH, ACCEPT_BACKLOG = 1, 128
 
 
@@ -74,7 +74,7 @@ class TcpTransport:
         self._pace = RetryPace()
 
     def log_to(self, note: Callable[[LogLine], None]) -> None:
-        """Write log lines there from now on."""
+        """Write log lines with `note` from now on."""
         self.note = note
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> Listener:
@@ -90,7 +90,7 @@ class TcpTransport:
             return self.new_link(on_link, plain=plain, calls=False)
 
         async def serve(made: socket.socket) -> LinkServer:
-            # Reports a port that is in use: uvloop returns a server without a socket then.
+            # A port that is in use is reported here: uvloop returns a server without a socket in this case.
             made.listen(ACCEPT_BACKLOG)
             server = await loop.create_server(called, sock=made, backlog=ACCEPT_BATCH)
             _set_backlog(server)
@@ -122,7 +122,7 @@ class TcpTransport:
     async def connect(self, address: str, handler: LinkHandler, host: str = "") -> Link:
         """Connect to a listening host. Raises AddressError, or NoListener for a refused connection.
 
-        Names are resolved again, and the addresses are raced; one of another host is skipped. Raises
+        Names are resolved again, and the addresses are raced; the address of another host is skipped. Raises
         HandshakeError and WireError if authentication fails.
         """
         loop = asyncio.get_running_loop()
@@ -145,7 +145,7 @@ class TcpTransport:
                     return await call.adopt(link)
 
                 def on_connected() -> None:
-                    # A path that returns late still leaves the full time for the handshake.
+                    # The handshake has its full time, even if the connection was made late.
                     bound.reschedule(loop.time() + self._connect_timeout)
                     self._pace.on_answer(address)
 
@@ -164,7 +164,9 @@ class TcpTransport:
             raise AddressError(address, call.failure_text(describe(error))) from None
 
     def _datagram_port(self, listening: socket.socket) -> DatagramPort | None:
-        """The UDP port beside a listening socket. Without it, stop orders arrive over links only."""
+        """The UDP port at the address of a listening socket. Without it, stop orders arrive over
+        links only.
+        """
         if self.datagrams is None:
             return None
         try:

@@ -1,12 +1,13 @@
 """TLS 1.3 with mutual authentication for one link. Sans-IO: bytes in, bytes and plain text out.
 
-OpenSSL checks the signature of the team's CA, but not the validity period, which is judged by
-`lfield.authority.peer_verification`. `who` is the peer, a stranger until both certificates are verified;
-until then no application data is sent.
+OpenSSL checks the signature of the team's CA, but not the validity period, which
+`lfield.authority.peer_verification` checks. `who` is the peer, a stranger until both certificates are
+verified. Before that no application data is sent.
 
-Between two processes that had a link, the next one resumes its session (RFC 8446, 2.2): without certificates,
-a third of the bytes, with new keys. Sessions are in memory only, for two hours. OpenSSL keeps the certificate
-of the peer with them, and every link is judged by it again: a revoked or expired one is refused as before.
+Between two processes that had a link, the next link resumes its session (RFC 8446, 2.2): without
+certificates, a third of the bytes, with new keys. Sessions are in memory only, for two hours. OpenSSL keeps
+the certificate of the peer with them, and checks it again for every link: a revoked or expired certificate is
+refused as before.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ if TYPE_CHECKING:
     from lfield.authority.key_material import Keys
     from lfield.wire.framing import Buffer
 
-#: Maximum bytes received before authentication; our certificates have some hundred.
+#: Maximum bytes received before authentication; certificates of lfield have a few hundred.
 MAX_HANDSHAKE = 1 << 14
 #: Maximum plain text in one record.
 _RECORD = 1 << 14
 #: First byte of a handshake record.
 _HANDSHAKE = 0x16
 
-#: OpenSSL's verification errors for a certificate not signed by our CA.
+#: OpenSSL's verification errors for a certificate that the team's CA has not signed.
 _FOREIGN_ALERTS = (7, 18, 19, 20, 21)
-#: Alerts of the peer about our certificate.
+#: Alerts of the peer about the certificate of this host.
 _REJECTED = (
     "ALERT_UNKNOWN_CA",
     "ALERT_BAD_CERTIFICATE",
@@ -87,7 +88,7 @@ class TlsIdentity:
         return far.who
 
     def channel(self, *, calls: bool, address: str = "") -> TlsChannel:
-        """One end of a new link, accepting or dialling; `address`: what it dials."""
+        """One end of a new link, accepting or dialling; `address` is the dialled address."""
         if calls:
             session = self._sessions.pop(address, None)
             return TlsChannel(self._calling, self._on_verified, calls=True, session=session)
@@ -96,7 +97,7 @@ class TlsIdentity:
         return TlsChannel(self._called, self._on_verified, calls=False)
 
     def keep_session(self, address: str, channel: TlsChannel) -> None:
-        """A link that was dialled has ended: the next one to that address may resume its session."""
+        """A link that was dialled has ended: the next link to that address may resume its session."""
         if (session := channel.session) is not None:
             self._sessions.pop(address, None)
             self._sessions[address] = session
@@ -116,7 +117,7 @@ class TlsChannel:
         session: ssl.SSLSession | None = None,
     ) -> None:
         self._on_verified = on_verified
-        #: Protocol data to send besides encrypted text is in `outgoing`.
+        #: `outgoing` has the protocol data to send in addition to encrypted text.
         self._incoming, self.outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self._tls = context.wrap_bio(self._incoming, self.outgoing, server_side=not calls, session=session)
         self._has_received = 0
@@ -128,16 +129,18 @@ class TlsChannel:
 
     @property
     def session(self) -> ssl.SSLSession | None:
-        """The session that a later link with this peer may resume; None for none."""
+        """The session that a later link with this peer may resume; None without one."""
         return self._tls.session if self.proven else None
 
     @property
     def is_resumed(self) -> bool:
-        """Whether it has resumed a session."""
+        """Whether the channel has resumed a session."""
         return bool(self._tls.session_reused)
 
     def end(self) -> None:
-        """The link has ended, perhaps without notice. Otherwise OpenSSL would discard the session."""
+        """Mark the link as ended in order, also after a lost connection. Otherwise OpenSSL would discard the
+        session.
+        """
         with suppress(ssl.SSLError):
             self._tls.unwrap()
 
@@ -175,7 +178,7 @@ class TlsChannel:
         return self.outgoing.read()
 
     def _continue_handshake(self, data: memoryview) -> memoryview:
-        """Continue the handshake. Returns the bytes behind its end.
+        """Continue the handshake. Returns the bytes after its end.
 
         Data of a stranger is bounded; data that is no TLS is not stored.
         """
@@ -201,7 +204,7 @@ class TlsChannel:
 
 def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
     context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_3
-    # Sessions stay in the process that accepts links; its peer gets the number of one.
+    # Sessions stay in the process that accepts links; the peer gets the number of a session.
     context.options |= ssl.OP_NO_TICKET
     context.check_hostname = False
     context.verify_mode = ssl.CERT_REQUIRED
@@ -212,7 +215,7 @@ def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
 
 
 def _no_password() -> bytes:
-    """Replaces OpenSSL's prompt at the terminal."""
+    """A replacement for OpenSSL's prompt at the terminal."""
     return b""
 
 

@@ -1,9 +1,9 @@
 """The transport interface: listen, connect, and links for messages and blocks.
 
-`tcp_transport` is the real one, `memory` the one for tests and simulation; `lfield.testing.transport_kit`
-tests both. Addresses are "host:port"; IPv6 hosts are in brackets. "zenoh:name:port" is a name in a Zenoh
-fabric (`lfield.net.zenoh`). Several addresses of one host are written "host:port,host:port", in order of
-preference.
+`tcp_transport` is the real transport, `memory` the transport for tests and simulation;
+`lfield.testing.transport_kit` tests both. Addresses are "host:port"; IPv6 hosts are in brackets.
+"zenoh:name:port" is a name in a Zenoh fabric (`lfield.net.zenoh`). Several addresses of one host are written
+"host:port,host:port", in order of preference.
 
 All calls and callbacks happen on one thread. No callback runs inside `send`, `send_transfer` or `close`.
 """
@@ -92,13 +92,13 @@ class Link(Protocol):
         Raises AddressError on a closed link."""
 
     def accept_role(self, role: Role) -> None:
-        """Accept the Hello of the peer: from now on it may send what its role permits.
+        """Accept the Hello of the peer: from now on the peer may send the messages that its role permits.
 
-        Before, any message but a Hello or a refusal closes the link.
+        Before that, any message except a Hello or a refusal closes the link.
         """
 
     def count_in(self, traffic: TrafficBytes) -> None:
-        """Count bytes from now on, there too, together with those of other links."""
+        """From now on, also count bytes in `traffic`, together with those of other links."""
 
     def set_round_trip(self, round_trip: float) -> None:
         """Set the measured round trip in seconds, which determines retransmission time-outs."""
@@ -110,7 +110,7 @@ class Link(Protocol):
         """The kernel's counters of the connection; None if unavailable."""
 
     def delivery(self) -> Delivery | None:
-        """What the kernel of this side has delivered; None if unavailable."""
+        """The data that the kernel of this side has delivered; None if unavailable."""
 
     def set_handler(self, handler: LinkHandler) -> None:
         """Pass later messages, and the end of the link, to another handler."""
@@ -130,7 +130,7 @@ class Listener(Protocol):
         """The listening address, with the actual port if 0 was requested."""
 
     def close(self) -> None:
-        """Stop accepting links. Existing ones remain."""
+        """Stop accepting links. Existing links remain open."""
 
 
 class Transport(Protocol):
@@ -139,15 +139,15 @@ class Transport(Protocol):
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> Listener:
         """Listen; `on_link` returns the handler of each new link, and may send on it at once.
 
-        Binds exactly this address; the caller restricts it to loopback. Of several addresses, it binds those
-        of this computer. Raises AddressError.
+        Binds exactly this address; the caller restricts it to loopback. Of several addresses, it binds the
+        addresses of this computer. Raises AddressError.
         """
 
     async def connect(self, address: str, handler: LinkHandler, host: str = "") -> Link:
-        """Connect to a listener; `handler` may be called before this returns.
+        """Connect to a listener; `handler` may be called before `connect` returns.
 
-        Of several addresses, one at which another host than `host` answers is skipped. Raises AddressError,
-        and HandshakeError if a certificate is rejected by either side.
+        Of several addresses, an address at which a host other than `host` answers is skipped. Raises
+        AddressError, and HandshakeError if a certificate is rejected by either side.
         """
 
 
@@ -188,7 +188,9 @@ def join_address(host: str, port: int) -> str:
 
 
 def is_zenoh(address: str) -> bool:
-    """Whether an address, or the host of one, is in a Zenoh fabric; "zenoh:8181" is a host of this name."""
+    """Whether an address, or the host of an address, is in a Zenoh fabric; "zenoh:8181" is a host of this
+    name.
+    """
     return address.startswith(ZENOH) and not address.removeprefix(ZENOH).isdigit()
 
 
@@ -198,7 +200,7 @@ def has_zenoh(address: str) -> bool:
 
 
 def is_lasting(host: str) -> bool:
-    """Whether a host is a fixed address; the interface of a zone may return under another number."""
+    """Whether a host is a fixed address; the interface of a zone may reappear with another number."""
     try:
         return getattr(ip_address(host), "scope_id", None) is None
     except ValueError:
@@ -214,7 +216,7 @@ def is_this_computer(address: str) -> bool:
 
 
 def is_number(address: str) -> bool:
-    """Whether it has only IP addresses, which need no lookup."""
+    """Whether `address` contains only IP addresses, which need no lookup."""
     try:
         for each in split_addresses(address):
             ip_address(split_address(each)[0])

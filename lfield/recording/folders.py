@@ -21,14 +21,14 @@ from urllib.parse import quote, unquote
 
 from lfield.text.secure_files import new_private_folder, private_folder
 
-#: The limit of all files of one incarnation unless set, in bytes.
+#: The default limit of all files of one incarnation, in bytes.
 DEFAULT_LIMIT = 64 << 20
 #: The shares of the core and of each guard with its wire logs together in that limit.
 CORE_SHARE = 0.5
-#: The newest incarnations of a host, which a directory keeps in any case. Older ones are kept as long as all
-#: have at most so many times the limit of one: a host that restarts again and again replaces no flight.
+#: The number of newest incarnations of a host that a directory keeps in any case. Older ones are kept as long
+#: as all have at most this multiple of the limit of one: a host that restarts repeatedly replaces no flight.
 INCARNATIONS = 8
-#: How many incarnations of a host a directory keeps at most.
+#: The maximum number of incarnations of a host in a directory.
 MAX_INCARNATIONS = 1000
 #: Suffix of the segments of cores and guards.
 SUFFIX = ".lfrec"
@@ -50,7 +50,7 @@ def create_folder(
 ) -> Path:
     """A new private folder for an incarnation, whose files have at most `limit` bytes.
 
-    The oldest ones of this host are deleted. Raises OutputFileError.
+    The oldest folders of this host are deleted. Raises OutputFileError.
     """
     private_folder(parent)
     old = [found for found in folders_in(parent) if found.host == host]
@@ -79,7 +79,7 @@ def _seconds(started: str) -> float:
 
 
 def _size(folder: Path) -> int:
-    """The bytes of the files in a folder. Another process may delete some meanwhile."""
+    """The bytes of the files in a folder. Another process may delete some of them at the same time."""
     size = 0
     for path in folder.rglob("*"):
         with suppress(OSError):
@@ -94,13 +94,13 @@ def folders_in(parent: Path) -> list[RecordingFolder]:
 
 
 def parse_folder(path: Path) -> RecordingFolder | None:
-    """The folder as one of an incarnation; None if its name is not that of one."""
+    """The data in the name of a folder of an incarnation; None for a folder with another name."""
     matched = _NAME.fullmatch(path.name)
     return None if matched is None else RecordingFolder(path, *matched.group("host", "at", "incarnation"))
 
 
 def guard_folder(folder: Path, device: str) -> Path:
-    """The folder of the guard of a bus, whose first device is this one, in that of an incarnation."""
+    """The folder of the guard of a bus, whose first device is `device`, in the folder of an incarnation."""
     return folder / f"{_GUARD}{quote(device, safe='')}"
 
 

@@ -1,11 +1,12 @@
 """Writes a ring of files in a thread: the caller never waits for the disk.
 
-A ring is a sequence of files STEM-000001SUFFIX, STEM-000002SUFFIX, ... of which the oldest are deleted
-so that all stay within a limit. Data reaches the kernel within FLUSH_INTERVAL, so a killed process loses
-at most that much, and the disk within SYNC_INTERVAL. The first error of the disk, or a disk that is too slow,
-ends the ring: `on_failure` gets the reason once, and all further data is dropped.
+A ring is a sequence of files STEM-000001SUFFIX, STEM-000002SUFFIX, ... of which the oldest are deleted so
+that all stay within a limit. Data reaches the kernel within FLUSH_INTERVAL, so a killed process loses at most
+the data of this time; data reaches the disk within SYNC_INTERVAL. The first error of the disk, or a disk that
+is too slow, ends the ring: `on_failure` gets the reason once, and all further data is dropped.
 
-Files that exist already, as those of a guard that died and was restarted, belong to the ring as its oldest.
+Files that exist already, as those of a guard that died and was restarted, belong to the ring as its oldest
+files.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from lfield.recording.folders import segments_of
 FLUSH_INTERVAL, SYNC_INTERVAL = 0.25, 2.0
 #: The bytes that may wait for the disk.
 MAX_PENDING = 16 << 20
-#: Files in a full ring: the deletion of one loses that share of the recorded time.
+#: Files in a full ring: the deletion of one file loses this share of the recorded time.
 FILES = 8
 _SLOW = f"the disk is too slow: more than {MAX_PENDING >> 20} MB wait for it"
 
@@ -46,17 +47,18 @@ class RingWriter:
     ) -> None:
         self._folder, self._stem, self._suffix, self._header = folder, stem, suffix, header
         self._limit, self._on_failure = limit, on_failure
-        #: What the thread has to do: bytes to append, or None to begin the next file.
+        #: The work of the thread: bytes to append, or None to begin the next file.
         self._queue: deque[bytes | None] = deque()
-        #: The bytes of the present file, and those with which it began.
+        #: The bytes of the present file, and the bytes with which it began.
         self._written = self._first = 0
-        # Bytes that were appended, and those that reached the kernel: each is changed by one thread only.
+        # The number of bytes that were appended, and of bytes that reached the kernel: each number is changed
+        # by one thread only.
         self._appended = self._stored = 0
         self._number, self._file = 0, -1
         #: The files of the ring with their sizes, oldest first.
         self._files: deque[list[int]] = deque()
         self._closing, self._wake, self._failing = False, threading.Event(), threading.Lock()
-        #: Why the ring has ended, '' while it is written.
+        #: The reason why the ring has ended, '' while it is written.
         self.failure = ""
         self._thread = threading.Thread(target=self._run, name=f"recorder {stem}", daemon=True)
         self._thread.start()
@@ -65,7 +67,8 @@ class RingWriter:
     def is_full(self) -> bool:
         """Whether the present file has its share of the limit: `start_file` should follow.
 
-        At most a third of it is its first data, as the state of a guard, even if that is more than its share.
+        At most a third of a file is its first data, such as the state of a guard, even if this is more than
+        its share.
         """
         return self._written >= max(self._limit // FILES, 3 * self._first) and not self.failure
 
@@ -78,7 +81,7 @@ class RingWriter:
         self.append(self._header + first)
 
     def append(self, data: bytes) -> None:
-        """Append data to the present file; one is begun if there is none."""
+        """Append data to the present file; a file is begun if there is none."""
         if self.failure:
             return
         if self._appended - self._stored > MAX_PENDING:
@@ -89,7 +92,7 @@ class RingWriter:
         self._queue.append(data)
 
     def close(self, timeout: float = 2.0) -> None:
-        """Write what is pending, at most so many seconds, and end the thread."""
+        """Write the pending data, for at most `timeout` seconds, and end the thread."""
         self._closing = True
         self._wake.set()
         self._thread.join(timeout)
@@ -106,7 +109,7 @@ class RingWriter:
             while True:
                 self._wake.wait(FLUSH_INTERVAL)
                 self._wake.clear()
-                # Read before the queue is emptied: what was appended before `close` is written.
+                # This is read before the queue is emptied, so that data appended before `close` is written.
                 closing = self._closing
                 self._drain()
                 now = time.monotonic()
@@ -119,7 +122,7 @@ class RingWriter:
             self._fail(error.strerror or str(error))
         finally:
             if self._file >= 0:
-                # The data is written already; a failing close loses nothing more.
+                # The data is written already; a failing close loses no more data.
                 with suppress(OSError):
                     os.close(self._file)
 
@@ -128,7 +131,7 @@ class RingWriter:
         while True:
             try:
                 part = self._queue.popleft()
-            except IndexError:  # also when the ring has failed meanwhile
+            except IndexError:  # also when the ring has failed in the meantime
                 break
             if part is None:
                 self._write(b"".join(parts))

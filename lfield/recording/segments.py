@@ -2,8 +2,9 @@
 
     frame: length (4 bytes, little endian), CRC-32 of the record (4 bytes), record (msgpack)
 
-A segment is append-only. One that ends within a frame, as after a crash, is valid up to its last complete
-frame. A frame with a wrong checksum ends the readable part as well: its length cannot be trusted either.
+A segment is append-only. A segment that ends within a frame, as after a crash, is valid up to its last
+complete frame. A frame with a wrong checksum also ends the readable part, because its length cannot be
+trusted.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ MAGIC = b"LFREC\x00\x00\x02"
 MAX_RECORD = 1 << 28
 _HEADER = Struct("<II")
 _CUT = "it ends within a record"
-#: Bytes that are read at once where contents do not matter.
+#: The number of bytes per read if contents are not relevant.
 _PIECE = 1 << 20
 
 
 class SegmentEnd(NamedTuple):
-    """Where the readable part of a segment ends, in bytes, and why: '' if it is complete.
+    """The end of the readable part of a segment, in bytes, and the reason: '' if it is complete.
 
-    `is_cut`: nothing follows, as after a crash.
+    `is_cut`: no bytes follow, as after a crash.
     """
 
     offset: int
@@ -42,7 +43,7 @@ def frame(record: bytes) -> bytes:
 
 
 def format_problem(data: bytes) -> str:
-    """Why a file that begins like this cannot be read, '' if it can; a shorter one has no record."""
+    """The reason why a file with this beginning cannot be read, '' if it can; a shorter one has no record."""
     own = MAGIC[-1]
     if not data.startswith(MAGIC[:-1]):
         return "" if MAGIC.startswith(data) else "it is no recording"
@@ -54,10 +55,11 @@ def format_problem(data: bytes) -> str:
 
 
 class SegmentReader:
-    """The records of one segment, read from `stream` one by one; `end` says where and why reading ended.
+    """The records of one segment, read from `stream` one by one; `end` is the position and the reason of the
+    end of reading.
 
-    `problem` says why it cannot be read at all, '' if it can. It never reads more than one record ahead, so a
-    file of any size does no harm.
+    `problem` is the reason why the segment cannot be read at all, '' if it can. The reader never reads more
+    than one record ahead, so a file of any size is harmless.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -88,7 +90,8 @@ class SegmentReader:
             return self._cut()
         size, checksum = _HEADER.unpack(header)
         if not (size or checksum or self._has_data()):
-            # As after a power failure: the file system has stored its length before its contents.
+            # The bytes are as after a power failure: the file system has stored its length before its
+            # contents.
             return self._cut()
         if not 0 < size <= MAX_RECORD:
             self.end = SegmentEnd(offset, "the length of a record is damaged")
@@ -106,7 +109,7 @@ class SegmentReader:
         return None
 
     def _has_data(self) -> bool:
-        """Whether any other byte than zero follows, or more of them than a record has."""
+        """Whether a byte other than zero follows, or more zero bytes than a record has."""
         for _ in range(MAX_RECORD // _PIECE):
             piece = self._stream.read(_PIECE)
             if not piece or piece.count(0) < len(piece):

@@ -1,4 +1,6 @@
-"""Clocks that stand still during a turn of a core: that of a running core, and that of its replay."""
+"""Clocks that are constant during a turn of a core: the clock of a running core, and the clock of its
+replay.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ class TurnClock:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._times = [clock.monotonic()]
-        #: Monotonic seconds. Not a method of this class: a core reads the time a dozen times in a hop.
+        #: Monotonic seconds. It is no method of this class, for speed: a core reads the time a dozen times in
+        #: a hop.
         self.monotonic: Callable[[], float] = cast("Callable[[], float]", partial(getitem, self._times, 0))
 
     def latch(self) -> float:
@@ -26,16 +29,16 @@ class TurnClock:
         return now
 
     def time(self) -> float:
-        """Wall-clock seconds since 1970, as they are now."""
+        """The present wall-clock seconds since 1970."""
         return self._clock.time()
 
 
 class ReplayClock:
-    """The recorded times of a turn; the wall-clock time stays if none was recorded."""
+    """The recorded times of a turn; the wall-clock time is kept if none was recorded."""
 
     def __init__(self, at: float = 0.0, wall: float = 0.0) -> None:
         self.at, self.wall = at, wall
-        #: Monotonic seconds. One object, as in `TurnClock`: a checkpoint refers to it.
+        #: Monotonic seconds. It is one object, as in `TurnClock`, because a checkpoint refers to it.
         self.monotonic: Callable[[], float] = self._monotonic
 
     def set(self, at: float, wall: float | None = None) -> None:
@@ -53,7 +56,7 @@ class ReplayClock:
 
 
 class ReplayedTimes:
-    """Real times as they were read within turns; without one, the time of the turn."""
+    """Real times as they were read within turns; without a recorded time, the time of the turn."""
 
     def __init__(self, clock: ReplayClock) -> None:
         self._clock = clock
@@ -64,5 +67,5 @@ class ReplayedTimes:
         self._times = deque(times)
 
     def __call__(self) -> float:
-        # Another program may read more of them.
+        # Another program may read more times.
         return self._times.popleft() if self._times else self._clock.monotonic()

@@ -1,6 +1,6 @@
-"""Reading files that users name: with a size limit, and errors a user can act on. A base module.
+"""Reading files that users name: with a size limit, and errors a user can act on. This is a base module.
 
-A named pipe is read too, and waits for its writer, as with any other program.
+A named pipe is also read, and the read waits for its writer, as in other programs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _CHUNK = 1 << 20
 
 
 def require_file(path: Path) -> None:
-    """Check that a file exists before others are named after it. Raises InputFileError."""
+    """Check that a file exists before other files are named after it. Raises InputFileError."""
     try:
         if stat.S_ISDIR(path.stat().st_mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -37,7 +37,9 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def read_within(path: Path, most: int) -> bytes:
-    """The same with system errors: OSError (EFBIG above the limit), ValueError for an invalid file name."""
+    """The bytes of a file, with system errors: OSError (EFBIG above the limit), ValueError for an invalid
+    file name.
+    """
     data = read_head(path, most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
@@ -63,7 +65,7 @@ def read_up_to(stream: BinaryIO, most: int) -> bytes:
 
 
 def error_reason(error: OSError | ValueError) -> str:
-    """Why a file cannot be read, in a few words."""
+    """The reason why a file cannot be read, in a few words."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror.lower()
     return "not a file name"

@@ -1,7 +1,7 @@
 """Kinds of findings as tables: the code, sentence and hint of each are defined once.
 
 The front end and the registry reader have a table each; codes, wording and documentation are generated from
-it and cannot diverge.
+the table and cannot diverge.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class FindingKind(Struct, frozen=True):
     severity: str = "error"
 
     def at(self, span: Span, *, hint: str | None = None, **values: object) -> Diagnostic:
-        """The finding at a position; `hint`, when given, replaces the table's hint."""
+        """The finding at a position; a `hint` replaces the hint of the table."""
         fields = {name: truncate(str(value), MAX_FIELD) for name, value in values.items()}
         advice = self.hint.format(**fields) if hint is None else hint
         return Diagnostic(self.code, self.sentence.format(**fields), span, advice, self.severity)
 
 
 class FindingTable(dict[str, FindingKind]):
-    """Messages by code; all codes start with one of `codes`, those of warnings with `warnings`."""
+    """Messages by code; all codes start with one of `codes`, codes of warnings start with `warnings`."""
 
     def __init__(self, *codes: str, warnings: str) -> None:
         super().__init__()

@@ -1,8 +1,8 @@
 """Output that never blocks its writer, also when it is not read (Ctrl-S, a stuck ssh, `| sleep 1000`).
 
 `LineBacklog` decides which lines are dropped; a `NonBlockingOutput` is the stream, with a writer thread. A
-thread, because a terminal or pipe is shared with the user's shell: O_NONBLOCK would affect the shell as well,
-and reopening /proc/self/fd/N works neither for sockets (the systemd journal) nor after `su`.
+thread is needed because a terminal or pipe is shared with the user's shell: O_NONBLOCK would also affect the
+shell, and reopening /proc/self/fd/N works neither for sockets (the systemd journal) nor after `su`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from lfield.text.terminal_escape import ESCAPES, escaping_stream
 
 #: Bytes that may be pending before the oldest lines are dropped.
 MAX_BACKLOG = 4 << 20
-#: The size of one write: up to PIPE_BUF bytes are atomic on a pipe, so lines of other writers stay whole.
+#: The size of one write: up to PIPE_BUF bytes are atomic on a pipe, so lines of other writers are not
+#: interleaved.
 MAX_WRITE = 4096
 #: Seconds that an exiting process waits for pending output.
 DRAIN_TIMEOUT = 1.0
@@ -40,7 +41,7 @@ class LineBacklog:
         return len(self._lines)
 
     def put(self, text: bytes) -> None:
-        """Append lines; text after the last newline is continued by the next call."""
+        """Append lines; the next call continues the text after the last newline."""
         for line in io.BytesIO(text):
             if self._lines and not self._lines[-1].endswith(b"\n") and len(self._lines[-1]) < MAX_WRITE:
                 self._lines[-1] += line
@@ -63,7 +64,7 @@ class LineBacklog:
         return dropped, b"".join(lines)
 
     def clear(self) -> None:
-        """Discard everything."""
+        """Discard all pending lines."""
         self._size = self._dropped = 0
         self._lines.clear()
 
@@ -98,7 +99,7 @@ class NonBlockingOutput(io.TextIOBase):
         return self._descriptor
 
     def isatty(self) -> bool:
-        """Whether it is a terminal."""
+        """Whether the descriptor is a terminal."""
         return os.isatty(self._descriptor)
 
     def writable(self) -> bool:
@@ -116,13 +117,15 @@ class NonBlockingOutput(io.TextIOBase):
 
     def flush(self) -> None:
         """Also write an incomplete line; does not block."""
-        # At the end of the process a thread that Python has stopped may hold the lock.
+        # At the end of the process, a thread that Python has stopped may hold the lock.
         if not sys.is_finalizing():
             with self._changed:
                 self._enqueue_partial()
 
     def drain(self, seconds: float | None) -> bool:
-        """Wait until all is written or discarded; whether that was in time. None: without limit."""
+        """Wait until all lines are written or discarded; returns whether this was in time. None: without
+        limit.
+        """
         self.flush()
         with self._changed:
             return self._changed.wait_for(lambda: not (self._busy or self._backlog), seconds)
@@ -179,9 +182,9 @@ def nonblocking_output(
 ) -> Iterator[None]:
     """Make stdout and stderr non-blocking in this context, and wait for pending output at its end.
 
-    The wait is at most `drain_timeout` seconds; with None, until all is read, or Ctrl-C. Errors of
-    stdout, which carries `content`, are written to stderr with the prefix `who`. Streams that are still not
-    read at the end stay non-blocking: the last lines of the process must not block it either.
+    The wait is at most `drain_timeout` seconds; with None, until all output is read, or Ctrl-C. Errors of
+    stdout, which carries `content`, are written to stderr with the prefix `who`. Streams that are not read at
+    the end stay non-blocking, so that the last lines of the process do not block it.
     """
     before = sys.stdout, sys.stderr
 
@@ -215,9 +218,10 @@ def _nonblocking_for(
     dropped: Callable[[int], object] | None = None,
     lost: Callable[[OSError], object] = lambda error: None,
 ) -> NonBlockingOutput | None:
-    """A non-blocking replacement of a stream; None where it has no descriptor, as in tests.
+    """A non-blocking replacement of a stream; None if it has no descriptor, as in tests.
 
-    In a process that was started without the stream it is None, and its number may belong to another file.
+    In a process that was started without the stream, `stream` is None, and its number may belong to another
+    file.
     """
     if stream is None:
         return None
@@ -229,7 +233,7 @@ def _nonblocking_for(
 
 
 def discard_output(stream: TextIO) -> None:
-    """Discard the remaining output of a stream; Python would fail on it again at exit."""
+    """Discard the remaining output of a stream; otherwise Python would fail on it again at exit."""
     with suppress(OSError, ValueError):
         null_device = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null_device, stream.fileno())

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def real_between(least: float, most: float, of: str = "") -> Callable[[str], float]:
-    """A type: a number from `least` to `most`; `of` is its unit, as in `seconds`."""
+    """A type of argparse: a number from `least` to `most`; `of` is its unit, as in `seconds`."""
 
     def read(text: str) -> float:
         try:
@@ -22,7 +22,7 @@ def real_between(least: float, most: float, of: str = "") -> Callable[[str], flo
 
 
 def real_above_0(most: float, of: str = "") -> Callable[[str], float]:
-    """A type: a number above 0, and at most `most`."""
+    """A type of argparse: a number above 0, and at most `most`."""
 
     def read(text: str) -> float:
         try:
@@ -37,7 +37,7 @@ def real_above_0(most: float, of: str = "") -> Callable[[str], float]:
 
 
 def whole_between(least: int, most: int, of: str = "") -> Callable[[str], int]:
-    """A type: a whole number from `least` to `most`."""
+    """A type of argparse: a whole number from `least` to `most`."""
 
     def read(text: str) -> int:
         try:

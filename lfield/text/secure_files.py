@@ -1,7 +1,7 @@
-"""Private files of this user: in folders that others cannot write to, without links, written atomically.
+"""Private files of this user: in folders that other users cannot write to, without links, written atomically.
 
-The folder is held open while it is checked and used, so that it cannot be swapped in between. Only plain
-files are read or written; a fifo, device or link is rejected, so no call here can block on one.
+The folder is held open while it is checked and used, so that it cannot be replaced in between. Only plain
+files are read or written; a fifo, device or link is rejected, so no call here can block on such a file.
 
 A group may get read access (`grant_group_read`), never write access. Files of other users are trusted only
 for the `owners` that the caller names.
@@ -23,9 +23,9 @@ from pathlib import Path
 from lfield.errors import OutputFileError
 from lfield.text.input_files import read_up_to
 
-#: Access that others must not have to such a folder: writing.
+#: The access that other users must not have to such a folder: writing.
 _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
-#: Access that others must not have to a secret file.
+#: The access that other users must not have to a secret file.
 _READABLE = stat.S_IRWXG | stat.S_IRWXO
 
 
@@ -57,14 +57,14 @@ def new_private_folder(path: Path) -> None:
 def grant_group_read(path: Path, group: int) -> None:
     """Give a group, and no others, read access to a folder or plain file of this user; not recursively.
 
-    Does nothing if it has access. Raises OutputFileError.
+    Without effect if the group has access. Raises OutputFileError.
     """
     try:
         opened = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         try:
             found = os.fstat(opened)
             _check(path, found, (os.geteuid(),))
-            # A service may not chown, and need not.
+            # A service may not change the group, and need not.
             if found.st_gid != group:
                 os.fchown(opened, -1, group)
             if found.st_gid != group or not found.st_mode & stat.S_IRGRP:
@@ -81,7 +81,7 @@ def is_trusted_dir(folder: Path) -> bool:
         found = folder.stat()
     except OSError:
         return False
-    # With the sticky bit only the owner of a file, and that of the folder, can remove it.
+    # With the sticky bit, only the owner of a file and the owner of the folder can remove it.
     is_safe = not found.st_mode & _WRITABLE or found.st_mode & stat.S_ISVTX
     return found.st_uid in (0, os.geteuid()) and bool(is_safe)
 
@@ -89,7 +89,7 @@ def is_trusted_dir(folder: Path) -> bool:
 def write_private(path: Path, data: bytes, mode: int = 0o600, *, durable: bool = False) -> None:
     """Write a whole file atomically, readable only for this user. Raises OutputFileError.
 
-    The folder is created if it is missing. `durable`: the file is on disk when this returns.
+    The folder is created if it is missing. `durable`: the file is on disk when the function returns.
     """
     with _open_or_create(path.parent) as folder:
         try:
@@ -117,9 +117,8 @@ def lock_private_folder(path: Path) -> Iterator[None]:
 
 @contextmanager
 def open_private_folder(path: Path, owners: Collection[int] = ()) -> Iterator[int]:
-    """The descriptor of an existing folder, as a context manager; raises OSError.
-
-    Also when its owner is not one of `owners` (user ids; by default this user) or others may write to it.
+    """The descriptor of an existing folder, as a context manager; raises OSError, also if its owner is not
+    one of `owners` (user ids; by default this user) or other users may write to it.
     """
     folder = os.open(path, _FOLDER)
     try:
@@ -133,10 +132,9 @@ def open_private_folder(path: Path, owners: Collection[int] = ()) -> Iterator[in
 
 
 def read_private(path: Path, most: int, owners: Collection[int] = (), *, secret: bool = False) -> bytes:
-    """The contents of a file of `write_private`; raises OSError.
-
-    Also when a user other than `owners` could have written it (see `open_private_folder`), when it is larger
-    than `most`, and, if it is `secret`, when others may read it.
+    """The contents of a file of `write_private`; raises OSError, also if a user other than `owners` could
+    have written it (see `open_private_folder`), if it is larger than `most`, or if it is `secret` and other
+    users may read it.
     """
     with open_private_folder(path.parent, owners) as folder:
         descriptor = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
@@ -178,7 +176,7 @@ def _open_or_create(path: Path) -> Iterator[int]:
 
 
 def _no_folder(path: Path, error: OSError) -> str:
-    # Path.is_symlink raises where this user has no access, or a name is too long.
+    # Path.is_symlink raises if this user has no access, or a name is too long.
     if os.path.islink(path):
         return "it is a link; name its target instead"
     if error.errno in (errno.EEXIST, errno.ENOTDIR):

@@ -16,7 +16,7 @@ MAX_SHOWN = 160
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One text with the name it is shown under (usually its path)."""
+    """A text with its displayed name (usually its path)."""
 
     name: str
     text: str
@@ -64,16 +64,16 @@ class Span(Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """The characters themselves."""
+        """The characters of the span."""
         return self.source.text[self.start : self.end]
 
     def to(self, other: Span) -> Span:
-        """From the start of this span to the end of another in the same source."""
+        """The span from the start of this one to the end of another in the same source."""
         return Span(self.source, self.start, max(self.end, other.end))
 
 
 class Diagnostic(Struct, frozen=True):
-    """One finding: `L203`, a sentence, its position, and what to do about it."""
+    """One finding: `L203`, a sentence, its position, and the remedy."""
 
     code: str
     message: str
@@ -145,7 +145,7 @@ class PlainFinding(Struct, frozen=True):
 
 
 def _window(source: Source, line: int, place: int) -> tuple[str, int]:
-    """The part of a line that is shown, and the offset of `place` in it; a long line is cut around it."""
+    """The shown part of a line, and the offset of `place` in it; a long line is cut around it."""
     start, end = source.line_ends(line)
     skipped = max(0, min(place - MAX_SHOWN // 2, end - start - MAX_SHOWN))
     return source.text[start + skipped : min(end, start + skipped + MAX_SHOWN)], place - skipped
@@ -158,7 +158,7 @@ class Diagnostics(Struct):
     _places: set[tuple[str, int, Source]] = set()
 
     def add(self, diagnostic: Diagnostic) -> None:
-        """Add a finding; a second one with the same code and position is dropped."""
+        """Add a finding; a second finding with the same code and position is dropped."""
         place = (diagnostic.code, diagnostic.span.start, diagnostic.span.source)
         if place not in self._places:
             self._places.add(place)
@@ -166,7 +166,7 @@ class Diagnostics(Struct):
 
     @property
     def errors(self) -> list[Diagnostic]:
-        """The errors in source order (warnings left out)."""
+        """The errors in source order (without warnings)."""
         return [d for d in self.in_order() if d.severity == "error"]
 
     def in_order(self) -> list[Diagnostic]:

@@ -8,9 +8,10 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from functools import lru_cache
 
-#: The longest name that is compared, and the maximum number of names it is compared with.
+#: The longest name that is compared, and the maximum number of names with which it is compared.
 MAX_LENGTH, MAX_NAMES = 64, 100
-#: The maximum number of names that a hint lists in full, and of similar names in place of more.
+#: The maximum number of names that a hint lists in full, and the maximum number of similar names in place of
+#: a longer list.
 MAX_LISTED, MAX_SIMILAR = 8, 3
 
 #: The words of a name such as goToGlobal.
@@ -34,7 +35,7 @@ def closest(name: str, known: Iterable[str]) -> str | None:
 
 @lru_cache(maxsize=64)
 def _closest(name: str, known: tuple[str, ...]) -> str | None:
-    """Cached, because one missing declaration causes the same look-up at each use."""
+    """The result of `closest`, cached because one missing declaration causes the same look-up at each use."""
     by_lower = {k.lower(): k for k in known}
     found = get_close_matches(name, list(by_lower), n=1, cutoff=0.65)
     return by_lower[found[0]] if found else None
@@ -47,7 +48,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str | None:
 
 
 def similar(name: str, known: Iterable[str]) -> list[str]:
-    """Up to MAX_SIMILAR names that share a word with an unknown one, or else resemble it; [] for none.
+    """Up to MAX_SIMILAR names that share a word with an unknown one, or otherwise resemble it; [] for none.
 
     Only the first MAX_NAMES known names are compared.
     """

@@ -1,11 +1,10 @@
 """Escapes control characters in text from programs, files and other hosts before it reaches a terminal.
 
 Such text may contain control sequences that move the cursor, rename the window, overwrite other lines or
-reverse the direction of writing. They are shown as escapes of L, `\\u{1b}`, so that a reader sees what was in
-the text.
-
-Bundles, logs, devices and other hosts carry such text, and every command prints some of it: `EscapingStream`
-escapes it where it leaves the process. Streams that are not terminals get the bytes unchanged.
+reverse the direction of writing. They are shown as escapes of L, `\\u{1b}`, so that a reader sees the
+characters of the text. Bundles, logs, devices and other hosts contain such text, and every command prints
+some of it: `EscapingStream` escapes the text where it leaves the process. Streams that are not terminals get
+the bytes unchanged.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Any, TextIO, cast
 _CONTROL_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 _SHORT = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\0": "\\0"}
 _HALVES = re.compile("[\ud800-\udfff]")
-#: The `errors` handler that shows characters missing in an encoding in the same way.
+#: The `errors` handler that shows characters missing in an encoding in the same form.
 ESCAPES = "lfield.escapes"
 #: Layout characters of a text with several lines.
 LAYOUT = "\n\t"
@@ -33,14 +32,13 @@ def escape(text: str, keep: str = LAYOUT) -> str:
 
 
 def escape_line(text: str) -> str:
-    """The same for text that must stay on one line: a cell of a table, a value among others."""
+    """As `escape`, for text that must stay on one line: a cell of a table, a value among others."""
     return escape(text, "")
 
 
 def escape_indented(text: str) -> str:
-    """The same for a log entry or error with several lines: all but the first are indented.
-
-    So a text cannot imitate another entry.
+    """As `escape`, for a log entry or error with several lines: all except the first are indented, so that a
+    text cannot imitate another entry.
     """
     first, *more = escape(text).split("\n")
     if any(line[:1].strip() for line in more):
@@ -57,14 +55,14 @@ def printable_argument(argument: str) -> str:
 
 
 def truncate(text: str, most: int) -> str:
-    """The text cut to `most` characters, the last one `…` where it is longer."""
+    """The text cut to `most` characters, the last one is `…` if the text is longer."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 class EscapingStream:
     """A text stream to a terminal; control characters except newline and tab are shown as escapes of L.
 
-    Everything else is delegated to the `stream`.
+    All other methods are delegated to the `stream`.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -87,7 +85,7 @@ def escaping_stream(stream: TextIO) -> TextIO:
 
 
 def unescaped_stream(stream: TextIO) -> TextIO:
-    """The stream below an `EscapingStream`, for a program with control sequences of its own."""
+    """The stream below an `EscapingStream`, for a program that writes its own control sequences."""
     return stream.stream if isinstance(stream, EscapingStream) else stream
 
 

@@ -8,8 +8,8 @@ Runtime directory, for data that ends with its process (runs, control sockets):
 
 State, cache and configuration directories, for data that outlives a process, are those of platformdirs
 (XDG_STATE_HOME, XDG_CACHE_HOME, XDG_CONFIG_HOME, else the defaults in the home directory). A symbolic link of
-another user is never followed, anywhere in the path: where others may write to the parent directory, it could
-redirect to any other directory of this user.
+another user is never followed, anywhere in the path: if other users may write to the parent directory, a link
+could redirect to any other directory of this user.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lfield.text.secure_files import is_trusted_dir, private_folder
 
 #: The maximum number of path components that are followed.
 _MAX_LINKS = 1000
-#: Not $TMPDIR: a command of another environment must find the same directory.
+#: The parent directory is not $TMPDIR, because a command of another environment must find the same directory.
 SHARED = Path("/tmp")
 
 
@@ -33,7 +33,7 @@ SHARED = Path("/tmp")
 
 
 def state_dir() -> Path:
-    """The directory for data that outlives a run: that of the unit, else the user's.
+    """The directory for data that outlives a run: the directory of the unit, otherwise that of the user.
 
     Raises NoHomeFolder, OutputFileError.
     """
@@ -50,14 +50,14 @@ def config_dir() -> Path:
 def cache_dir() -> Path:
     """The directory for data that can be regenerated, created on demand, private to this user.
 
-    Raises NoHomeFolder, and OutputFileError where others could write to it.
+    Raises NoHomeFolder, and OutputFileError if other users could write to it.
     """
     return private_folder(_lfield_dir("XDG_CACHE_HOME"))
 
 
 def _lfield_dir(variable: str) -> Path:
     """The directory of lfield that platformdirs has for a variable, by a path without symbolic links."""
-    # Imported here: a command that needs no such directory starts sooner.
+    # Imported here, so that a command that needs no such directory starts sooner.
     import platformdirs
 
     paths: dict[str, Callable[[str], Path]] = {
@@ -125,7 +125,7 @@ def service_runtime_dir() -> Path | None:
 
 
 def session_runtime_dir() -> Path | None:
-    """The directory in $XDG_RUNTIME_DIR, if only this user may change that."""
+    """The directory in $XDG_RUNTIME_DIR, if only this user may change it."""
     base = os.environ.get("XDG_RUNTIME_DIR", "")
     with suppress(OSError, OutputFileError):
         # After `su` the variable may name a directory of another user.
@@ -142,7 +142,7 @@ def shared_runtime_dir() -> Path:
 def private_runtime_dir(name: str) -> Path:
     """A directory of that name in the runtime directory, created on demand, private to this user.
 
-    Raises OutputFileError if others could write to it or remove it.
+    Raises OutputFileError if other users could write to it or remove it.
     """
     base = runtime_dir()
     if base.parent == SHARED and not is_trusted_dir(SHARED):

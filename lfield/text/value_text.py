@@ -1,12 +1,12 @@
-"""Values of devices as short text for people, rounded to what can be read at a glance."""
+"""Values of devices as short text for people, rounded so that they can be read quickly."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-#: The maximum number of quantities that are shown of a device, the first of its manifest.
+#: The maximum number of quantities that are shown of a device: the first ones of its manifest.
 MAX_SHOWN = 8
-#: Numbers from here on are shown with three digits and a power of ten.
+#: Numbers of at least this size are shown with three digits and a power of ten.
 SCIENTIFIC_FROM = 1e6
 
 ShownValue = bool | int | float | str | Sequence[int | float]

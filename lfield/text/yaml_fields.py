@@ -15,15 +15,15 @@ from lfield.text.yaml_source import YamlEntry, YamlList, YamlMapping, YamlNode, 
 class YamlFields:
     """The entries of a mapping, read one by one with their types; unread keys are reported.
 
-    Findings go to `found`: Y110 a required key is missing, Y111 an unknown key, Y112 a value of
-    the wrong type, Y113 a value out of range. A reader that found an error returns its default.
+    Findings go to `found`: Y110 a required key is missing, Y111 an unknown key, Y112 a value of the wrong
+    type, Y113 a value out of range. A method that finds an error returns its default.
     """
 
     def __init__(self, node: YamlNode, found: Diagnostics, what: str) -> None:
         self.span, self.what, self._found = node.span, what, found
         self._known: set[str] = set()
         self._entries = node.entries if isinstance(node, YamlMapping) else {}
-        # An empty section (`devices:` with nothing under it) reads as an empty mapping.
+        # An empty section (`devices:` without contents) is read as an empty mapping.
         if not isinstance(node, YamlMapping) and not (isinstance(node, YamlScalar) and node.value is None):
             self.report("Y112", f"{what} must be a mapping, not {describe(node)}", node.span)
 
@@ -48,7 +48,7 @@ class YamlFields:
     def text(
         self, key: str, default: str = "", *, required: bool = False, choices: tuple[str, ...] = ()
     ) -> str:
-        """Text, one of `choices` when there are any."""
+        """Text; one of `choices` if there are any."""
         node = self.node(key, required=required)
         if node is None:
             return default
@@ -62,7 +62,7 @@ class YamlFields:
         return node.value
 
     def flag(self, key: str, default: bool = False) -> bool:
-        """true or false."""
+        """A boolean: true or false."""
         node = self.node(key)
         if node is None:
             return default
@@ -196,11 +196,11 @@ class YamlFields:
         return key in self._entries
 
     def key_span(self, key: str) -> Span:
-        """The position of a key; that of the mapping when the key is missing."""
+        """The position of a key; the position of the mapping if the key is missing."""
         return self._entries[key].key_span if key in self._entries else self.span
 
     def value_span(self, key: str) -> Span:
-        """The position of the value of a key; that of the mapping when the key is missing."""
+        """The position of the value of a key; the position of the mapping if the key is missing."""
         return self._entries[key].value.span if key in self._entries else self.span
 
     def report_unread(self) -> None:
@@ -216,7 +216,7 @@ class YamlFields:
 
 
 def _quoted(value: object) -> str:
-    """A scalar as an entry of a list in brackets; in quotes where it has a character with a meaning."""
+    """A scalar as an entry of a list in brackets; in quotes if it has a character with a meaning."""
     text = str(value)
     return text if re.fullmatch(r"[A-Za-z0-9._/-]+", text) else json.dumps(text)
 

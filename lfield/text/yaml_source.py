@@ -1,10 +1,9 @@
 """YAML text to values with source positions: manifests, bindings, registries.
 
-The only module that imports yaml. It reads a safe, small part of the language: mappings with text keys,
-lists, and plain scalars (null, true, false, whole and decimal numbers, text) by the rules of YAML 1.2,
-so that `no` is text and `010` is ten. Anchors, aliases, tags, duplicate keys, several documents and
-numbers that are not finite are rejected, each with a diagnostic. `YAML_CODES` has the codes of all YAML
-files.
+Only this module imports yaml. It reads a safe, small part of the language: mappings with text keys, lists,
+and plain scalars (null, true, false, whole and decimal numbers, text) by the rules of YAML 1.2, so that `no`
+is text and `010` is ten. Anchors, aliases, tags, duplicate keys, several documents and numbers that are not
+finite are rejected, each with a diagnostic. `YAML_CODES` has the codes of all YAML files.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from lfield.errors import InputFileError
 from lfield.text.input_files import invalid_byte
 from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 
-#: What each code of a finding in a YAML file means.
+#: The meaning of each code of a finding in a YAML file.
 YAML_CODES = {
     "Y101": "the text is not YAML",
     "Y102": "the file is too large or nested too deeply",
@@ -93,7 +92,7 @@ YamlNode = YamlScalar | YamlList | YamlMapping
 
 
 class _ParseError(Exception):
-    """Ends a parse at its first finding: after it, positions would mislead."""
+    """Ends a parse at its first finding: after it, positions would be wrong."""
 
     def __init__(self, diagnostic: Diagnostic) -> None:
         self.diagnostic = diagnostic
@@ -131,10 +130,11 @@ def parse(source: Source, found: Diagnostics) -> YamlNode | None:
 
 
 def _parse_fast(source: Source) -> YamlNode | None:
-    """The document by the C library, where PyYAML was built with it: twenty times as fast.
+    """The document parsed by the C library, if PyYAML was built with it: twenty times as fast.
 
-    None for any error. The parser in Python then reports it, so that findings have the same text and position
-    everywhere. Byte order marks are left to it too: libyaml does not count them in positions.
+    None for any error, which the parser in Python then reports, so that findings have the same text and
+    position everywhere. The parser in Python also handles byte order marks, which libyaml does not count in
+    positions.
     """
     if not yaml.__with_libyaml__ or "\ufeff" in source.text:
         return None
@@ -205,13 +205,13 @@ _PROBLEMS = (
 )
 
 
-#: A closing bracket where PyYAML expects something else.
+#: PyYAML's message for an unexpected closing bracket.
 _FOUND_BRACKET = re.compile(r"but found '([]}])'")
 _OPENING = {"}": "{", "]": "["}
 
 
 def _syntax_error(source: Source, start: int, error: yaml.MarkedYAMLError) -> Diagnostic:
-    """The finding for an error of PyYAML, with a text of lfield where there is one."""
+    """The finding for an error of PyYAML, with a text of lfield if there is one."""
     reported = f"{error.context or ''}; {error.problem or ''}"
     line, _ = source.line_column(min(start, max(len(source.text) - 1, 0)))
     text = source.line_text(line)
@@ -221,7 +221,7 @@ def _syntax_error(source: Source, start: int, error: yaml.MarkedYAMLError) -> Di
             "Y101", "a tab in the indentation of this line", _at(source, position), "indent with spaces"
         )
     unmatched = _FOUND_BRACKET.search(reported)
-    # Inside { ... } or [ ... ] it may be a bracket of the wrong kind.
+    # Inside { ... } or [ ... ] the cause may be a bracket of the wrong kind.
     if unmatched and "parsing a flow" not in reported:
         closing = unmatched[1]
         hint = f"remove it, or add the {_OPENING[closing]} that it closes"
@@ -261,7 +261,8 @@ class _Parser:
         return node
 
     def _span(self, event: yaml.Event) -> Span:
-        # PyYAML ends a block collection at the next token: without this the caret would span several lines.
+        # PyYAML ends a block collection at the next token: without this correction the caret would span
+        # several lines.
         assert event.start_mark is not None
         assert event.end_mark is not None
         start, end = event.start_mark.index, event.end_mark.index

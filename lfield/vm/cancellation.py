@@ -32,7 +32,7 @@ class InputReaders(Protocol):
     """The threads that wait for a line of input: `lfield.vm.waits.operator_input.OperatorInput`."""
 
     def cancel(self, agent: Agent, thread: int) -> bool:
-        """End the wait of a thread; False if it waits for no line."""
+        """End the wait of a thread; False if the thread waits for no line."""
 
 
 class Cancellation:
@@ -42,10 +42,10 @@ class Cancellation:
         self._scheduler, self._input = scheduler, given
 
     def cancel_call(self, resource: Agent, number: int, reason: str) -> None:
-        """Cancel a portal call by its number, if still served; at once if its thread waits.
+        """Cancel a portal call by its number, if a thread still serves it; at once if this thread waits.
 
         A thread that runs, or whose wait cannot be cancelled, gets the exception at its next waiting
-        instruction. After `AgentLimits.tidy` seconds it is ended.
+        instruction. After `AgentLimits.tidy` seconds the thread is ended.
         """
         thread = serving(resource.block, number)
         if resource.ended or not thread or thread in resource.pending_cancels:
@@ -55,7 +55,7 @@ class Cancellation:
         self._interrupt(resource, thread, reason)
 
     def suppress(self, resource: Agent, thread: int, reason: str) -> None:
-        """Suppress the body of a loop that runs: an exception as above, and no end by force."""
+        """Suppress the body of a loop that runs: an exception as in `cancel_call`, but no end by force."""
         if resource.loops is None or thread in resource.loops.suppressed:
             return
         resource.loops.suppressed[thread] = reason
@@ -65,7 +65,7 @@ class Cancellation:
         resource.pending_cancels[thread] = reason
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
         if thread in resource.monitor_waits:
-            # The exception is thrown when it would wait again, while it holds the monitor.
+            # The exception is thrown when the thread would wait again, while it holds the monitor.
             wake(self._scheduler.run_queue, resource, thread)
         elif state == WAITING and not self._input.cancel(resource, thread):
             self._scheduler.world.cancel(resource, thread)
@@ -74,7 +74,7 @@ class Cancellation:
             self.deliver(resource, thread)
 
     def _is_queued(self, resource: Agent, thread: int) -> bool:
-        """Whether a ready thread has not started, since its resource's init or another call was busy."""
+        """Whether a ready thread has not started, because the resource's init or another call is running."""
         w, place = resource.block.w, place_of(resource.block, thread)
         method = self._scheduler.program.core.methods[w[w[place + THREAD_FRAME]] >> 8 & 0xFFFFFF]
         enters = method.synchronized and w[place + THREAD_PC] == method.entry
@@ -94,7 +94,7 @@ class Cancellation:
         return True
 
     def deliver(self, resource: Agent, thread: int) -> None:
-        """Throw the cancellation at the thread's position, if not done yet."""
+        """Throw the cancellation at the thread's position, if it was not thrown yet."""
         reason, resource.pending_cancels[thread] = resource.pending_cancels[thread], ""
         self._scheduler.throw_builtin(resource, thread, CANCELLED, reason, resource.id)
 
@@ -123,10 +123,10 @@ class Cancellation:
 
 
 def wake_thread(scheduler: Scheduler, agent: Agent, thread: int) -> None:
-    """Remove a thread from any wait except for a device.
+    """Remove a thread from any wait except the wait for a device.
 
-    A sleeping or yielding thread is after its instruction; it is moved back, so that the exception is
-    thrown there.
+    A sleeping or yielding thread is positioned after its instruction; it is moved back, so that the exception
+    is thrown at this instruction.
     """
     w, place = agent.block.w, place_of(agent.block, thread)
     scheduler.run_queue.remove(agent, thread)

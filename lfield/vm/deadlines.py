@@ -1,7 +1,7 @@
 """Time limits of coordinators: `within` (decision 46).
 
 The end of a limit is in a slot of the frame, in ns of the coordinator's clock; a row of its method gives the
-instructions covered. Each coordinator has one timer, for the earliest end of the limits around its position.
+covered instructions. Each coordinator has one timer, for the earliest end of the limits around its position.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ RECHECK_DELAY = 0.05
 HOST_PAUSED = "its host was paused or suspended"
 #: Reason for a late check: the limit expired before the coordinator arrived.
 IN_TRANSIT, HOST_DOWN = "it was in transit between hosts", "its host was down"
-#: Seconds that no mission lasts: the limit around an `init` that may be stopped has no timer.
+#: A number of seconds that no mission reaches: the limit around an `init` that may be stopped has no timer.
 _NEVER = 1e8
-#: Seconds from which a limit never expires.
+#: A limit of at least this number of seconds never expires.
 _ENDLESS = 1e9
 #: Tolerance in ns, since the clocks have different units.
 _CLOCK_TOLERANCE = 1000
@@ -46,29 +46,33 @@ class CallView(Protocol):
     """The calls of a coordinator: `lfield.vm.together.itinerary.Itinerary`."""
 
     def current_call(self, agent: Agent) -> str:
-        """The call that it waits for, as `resource.portal()`; '' for none."""
+        """The call that the coordinator waits for, as `resource.portal()`; '' for none."""
 
     def head(self, agent: Agent) -> str:
-        """The instruction of a `together` at which it is; '' for none."""
+        """The instruction of a `together` at which the coordinator is; '' for none."""
 
     def wait_reason(self, agent: Agent) -> str:
-        """Why a suspended one cannot continue at once."""
+        """The reason why a suspended coordinator cannot continue at once."""
 
     def is_heartbeat_pending(self, agent: Agent) -> bool:
-        """Whether a heartbeat of the destination host of a suspended one is still awaited."""
+        """Whether a heartbeat of the destination host of a suspended coordinator is awaited."""
 
     def is_start_made(self, agent: Agent) -> bool:
-        """Whether it is at a `start` that its host, the home of the other one, has already made."""
+        """Whether the coordinator is at a `start` that its host, the home of the other coordinator, has
+        already made.
+        """
 
     def blocked_action(self, agent: Agent) -> str:
-        """What a suspended one is prevented from doing, as the end of a sentence; '' for nothing."""
+        """The action that a suspended coordinator is prevented from, as the end of a sentence; '' for
+        none.
+        """
 
 
 class Deadlines:
     """Sets time limits, and throws when they expire.
 
-    `calls` provides the calls of a coordinator. `stop_waiting(agent)` ends its wait for pending calls here;
-    false when it does not wait.
+    `calls` provides the calls of a coordinator. `stop_waiting(agent)` ends the wait of a coordinator for
+    pending calls here; it returns false without a wait.
     """
 
     def __init__(
@@ -82,21 +86,22 @@ class Deadlines:
         self._calls, self._stop_waiting = calls, stop_waiting
 
     def start_limit(self, agent: Agent, seconds: float) -> int:
-        """The end of a limit that starts now, for its slot; the agent is then checked.
+        """The end of a limit that starts now, for its slot; the limits of the agent are then checked.
 
-        A limit not above 0 expires at once; one longer than any mission never expires.
+        A limit not above 0 expires at once; a limit longer than any mission never expires.
         """
         now = self._scheduler.clock_of(agent)
         if seconds <= 0:
             agent.mark_overdue()
         last = COUNT_LIMIT - 1
-        # Not a sum: after a restart with another clock, the time for which a host was down may be decades.
+        # The values are not added: after a restart with another clock, the time for which a host was down may
+        # be decades.
         end = last if seconds >= _ENDLESS else min(now + int(max(0.0, seconds) * 1e9), last)
         self._arm(agent, max(1, end))
         return max(1, end)
 
     def on_arrival(self, agent: Agent, why: str) -> None:
-        """A coordinator has arrived with its limits; `why` it is late, if so."""
+        """A coordinator has arrived with its limits; `why` is the reason of a delay, if any."""
         if not self._scheduler.program.has_limits:
             return
         if ends := [agent.block.w[word] for word, _ in self._enclosing_limits(agent)]:
@@ -112,7 +117,7 @@ class Deadlines:
     def depart(self, agent: Agent, resource: TeamMember, portal: int = -1) -> None:
         """Let a suspended coordinator depart for the host of a resource, for a `portal` (index) or none.
 
-        One that would arrive after its limit stays, and waits for the limit to expire.
+        A coordinator that would arrive after its limit stays, and waits for the limit to expire.
         """
         agent.depart_for(resource.id, portal)
         signs, has_limits = self._scheduler.hooks.liveness, self._scheduler.program.has_limits
@@ -125,7 +130,7 @@ class Deadlines:
         )
 
     def expire(self, agent: Agent, why: str = "") -> bool:
-        """Throw in a running or resumed coordinator if its limit has expired; else false."""
+        """Throw in a running or resumed coordinator if its limit has expired; otherwise return false."""
         due = self._due(agent)
         if not due and any(self._is_expired(agent, word) for word, _ in self._enclosing_limits(agent)):
             agent.mark_overdue()
@@ -138,7 +143,7 @@ class Deadlines:
         return bool(due)
 
     def stop(self, agent: Agent, word: int, reason: str) -> None:
-        """End the limit with that word now, for a reason; without effect on one that has expired."""
+        """End the limit with the word `word` now, for a reason; without effect on an expired limit."""
         w = agent.block.w
         if w[word] <= 0:
             return
@@ -207,7 +212,7 @@ class Deadlines:
     def _skip_unreachable_leave(self, agent: Agent) -> None:
         """Continue a coordinator that leaves a `together` and waits for an unreachable host.
 
-        Not while a heartbeat of that host is still awaited.
+        This is not done while a heartbeat of that host is awaited.
         """
         cancels = self._calls.head(agent) in ("leave", "cancel")
         leaves = agent.frozen and cancels and self.is_block_expired(agent)
@@ -227,8 +232,8 @@ class Deadlines:
     def is_block_expired(self, agent: Agent) -> bool:
         """Whether a limit has expired around the block that a coordinator is about to leave.
 
-        The coordinator is in the code of a `finally`. Limits beyond the next one are ignored: they interrupt
-        neither.
+        The coordinator is in the code of a `finally`. Limits beyond the next `finally` are ignored: they
+        interrupt neither.
         """
         return bool(self._expired_ends(agent))
 
@@ -260,7 +265,7 @@ class Deadlines:
         return seconds if seconds >= LATE_THRESHOLD else 0.0
 
     def _due(self, agent: Agent) -> list[int]:
-        """The slots of expired limits that may throw; the limit of a `start` that was made may not."""
+        """The slots of expired limits that may throw; the limit of a `start` that was made may not throw."""
         around = list(self._enclosing_limits(agent))
         due = [word for word, shielded in around if not shielded and self._is_expired(agent, word)]
         is_innermost = bool(due) and due[0] == around[0][0]
@@ -270,7 +275,9 @@ class Deadlines:
         return agent.block.w[word] <= self._scheduler.clock_of(agent) + _CLOCK_TOLERANCE
 
     def _on_expired(self, agent: Agent, due: list[int]) -> None:
-        """A limit has expired: abandon the coordinator's operation, or cancel it and wait for its end."""
+        """A limit has expired: abandon the coordinator's operation, or cancel the operation and wait for its
+        end.
+        """
         scheduler = self._scheduler
         w = agent.block.w
         record = w[layout.W_THREADS]
@@ -309,7 +316,7 @@ class Deadlines:
         self._scheduler.throw_builtin(agent, thread, TIME_LIMIT, f"{head}{text}{what}", agent.id)
 
     def _mark_expired(self, agent: Agent, due: list[int]) -> int:
-        """Mark limits as expired: their ends become negative. Returns the last of them, in ns."""
+        """Mark limits as expired: their ends become negative. Returns the last end, in ns."""
         w = agent.block.w
         ends = [w[word] for word in due]
         for word in due:

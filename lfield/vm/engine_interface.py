@@ -26,10 +26,10 @@ MAX_TIDY_SECONDS = 600.0
 
 @dataclass(frozen=True, slots=True)
 class AgentLimits:
-    """Resource limits of one agent. Exceeding one throws a `LimitException` that L code can catch.
+    """Resource limits of one agent. A program that exceeds one gets a `LimitException` that L code can catch.
 
-    `heap` in bytes; `call_depth` in calls; lengths in elements and characters; `threads` at one time. Only
-    `tidy` differs: the grace period in seconds of a cancelled portal, which is then ended.
+    `heap` in bytes; `call_depth` in calls; lengths in elements and characters; `threads` at one time. `tidy`
+    is of another kind: the grace period in seconds after which a cancelled portal is ended.
     """
 
     heap: int = 1 << 20
@@ -43,9 +43,9 @@ class AgentLimits:
 class Reading:
     """One quantity of one device: `word` is valid while the host's monotonic clock is before `until`.
 
-    The first query without parameters asks the host. Later ones read the word directly, at the cost of a
+    The first query without parameters asks the host. Later queries read the word directly, as fast as a
     variable. Other values (outdated, never reported, text, array) are queried from the host. The host changes
-    readings only between two runs, so one run sees one state.
+    readings only between two runs, so their state is constant during a run.
     """
 
     __slots__ = ("until", "word")
@@ -54,12 +54,12 @@ class Reading:
         self.word, self.until = 0, -math.inf
 
     def update(self, word: int, until: float) -> None:
-        """Set the word and how long it is valid."""
+        """Set the word, and the end of its validity."""
         self.word, self.until = word, until
 
 
 class EngineExit(Struct, frozen=True):
-    """Why an engine returned. A struct, since one is made in every turn (see `mobility.effects`)."""
+    """The reason for the return of an engine. A struct, as every turn makes one (see `mobility.effects`)."""
 
 
 class ThreadDone(EngineExit, frozen=True):
@@ -83,8 +83,8 @@ class MonitorBlocked(EngineExit, frozen=True):
 class HostCall(EngineExit, frozen=True):
     """An instruction that only the machine can execute.
 
-    `op` is its opcode, `operand` its own operand, `words` the arguments as in their slots. The thread stands
-    at the instruction.
+    `op` is its opcode, `operand` its own operand, `words` the arguments as in their slots. The thread is at
+    the instruction.
     """
 
     op: int
@@ -135,12 +135,12 @@ MONITOR_BLOCKED = MonitorBlocked()
 class Engine(Protocol):
     """Runs threads of blocks of one program. Stateless between runs: another engine may continue."""
 
-    #: Speed relative to the reference engine.
+    #: The speed relative to the reference engine.
     pace: int
 
     @property
     def space(self) -> BlockAllocator:
-        """The allocator for the blocks that it runs best."""
+        """The allocator for the blocks that this engine runs best."""
 
     @property
     def layouts(self) -> Layouts:
@@ -156,7 +156,7 @@ class Engine(Protocol):
 
     @property
     def unused_budget(self) -> int:
-        """Instructions of its budget that the last run has not used."""
+        """The instructions of the budget that the last run has not used."""
 
     def run(
         self,
@@ -168,8 +168,8 @@ class Engine(Protocol):
     ) -> EngineExit:
         """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
 
-        On return, frame and pc in the block are where the thread will continue: after completed
-        instructions, or at the instruction (the group) that could not be executed here.
+        On return, frame and pc in the block are the position at which the thread will continue: after
+        completed instructions, or at the instruction (the group) that could not be executed here.
         """
 
     def complete(self, block: Block, thread: int, word: int) -> None:
@@ -180,7 +180,7 @@ class Engine(Protocol):
 
 
 class EngineWrapper:
-    """Base class of engines that pass everything on to another one, and change a part of it.
+    """Base class of engines that pass all calls on to another engine, and change a part of them.
 
     A subclass that overrides `run` sets `has_read_external` and `unused_budget`.
     """
@@ -228,5 +228,5 @@ class EngineWrapper:
         return self._engine.throw(block, thread, thrown)
 
 
-#: Creates an engine for a program, with the clock that judges readings.
+#: Creates an engine for a program, with the clock that determines the validity of readings.
 Engines = Callable[[Program, Callable[[], float]], Engine]

@@ -1,7 +1,7 @@
 """Hooks of a machine: access rules of portal calls, an observer, stubs of resources, a meter.
 
 On a robot only the access rules of its mission are attached, if it has any. An observer is notified and
-changes nothing; a stub answers the portals of one resource instead of its program, for tests of missions; a
+changes no state; a stub answers the portals of one resource in place of its program, for tests of missions; a
 meter gets the number of executed instructions, for simulated computing time.
 """
 
@@ -16,15 +16,17 @@ from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.memory.block import Block
 from lfield.vm.turns.run_limit import RunLimit
 
-#: Why a call must not start, '' when it may, by the ids of coordinator and resource, and the portal's index.
+#: The reason why a call must not start, '' when it may. The arguments are the ids of coordinator and
+#: resource, and the portal's index.
 CallRules = Callable[[str, str, int], str]
 
 
 class PortalObserver(Protocol):
     """Observer of the portal calls of a machine, by `pcall` or in a `together`; `number` identifies a call in
-    one incarnation of the host. A place is one in the resource's block, valid during the call of the method.
+    one incarnation of the host. A place is a position in the resource's block, valid during the call of the
+    method.
 
-    The end of a call is also reported when its coordinator no longer waits for it.
+    The end of a call is also reported if its coordinator does not wait for it any more.
     """
 
     def on_call_started(self, resource: Agent, thread: int, number: int, method: int, caller: str) -> None:
@@ -37,7 +39,7 @@ class PortalObserver(Protocol):
         """A portal has ended by an exception, the object at the place `thrown`."""
 
     def on_resource_died(self, resource: Agent, reason: str) -> None:
-        """A resource has died, and with it all its portals."""
+        """A resource has died, and all its portals have ended."""
 
 
 class StubCall(Protocol):
@@ -52,32 +54,35 @@ class StubCall(Protocol):
 
     @property
     def thread(self) -> int:
-        """The thread with the arguments in its frame; it runs no instruction."""
+        """The thread with the arguments in its frame; the thread runs no instruction."""
 
     @property
     def method(self) -> int:
         """The portal, by index."""
 
     def return_result(self, make: Callable[[Block], int]) -> None:
-        """End it with the result that `make` creates in the resource's block; `make` may raise HeapFull."""
+        """End the call with the result that `make` creates in the resource's block; `make` may raise
+        HeapFull.
+        """
 
     def throw(self, kind: str, message: str) -> None:
-        """End it by a built-in exception."""
+        """End the call by a built-in exception."""
 
 
 class HostLiveness(Protocol):
     """Heartbeats of the hosts of the team's agents."""
 
     def contact_age(self, member: TeamMember) -> float:
-        """Seconds since something arrived from its host; infinite without a link."""
+        """Seconds since the last message from the host of an agent; infinite without a link."""
 
     def is_silent(self, member: TeamMember) -> bool:
-        """Whether its host has a link and is silent."""
+        """Whether the host of an agent has a link and is silent."""
 
     def request_heartbeat(self, member: TeamMember, within: float) -> None:
-        """Ask its host for a heartbeat; no coordinator is sent there before it arrives.
+        """Ask the host of an agent for a heartbeat; no coordinator is sent to this host before the heartbeat
+        arrives.
 
-        Without effect if the host sent anything in the last `within` seconds.
+        Without effect if the host sent a message in the last `within` seconds.
         """
 
     def is_heartbeat_pending(self, member: TeamMember) -> bool:
@@ -92,7 +97,7 @@ class VmHooks(Struct):
     which must not have started yet: their `init` does not run, and they are open at once. `meter` gets the
     number of instructions of each turn. `liveness` is for linked hosts that may be silent. `on_arrival` is
     called with each coordinator that has arrived from another host. `run_limit` limits a run's duration.
-    `fresh_time` is the real time at a departure, where the machine's clock stands still during a turn.
+    `fresh_time` is the real time at a departure, for hosts whose machine has a constant clock during a turn.
     """
 
     rules: CallRules | None = None

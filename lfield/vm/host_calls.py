@@ -96,7 +96,7 @@ class HostCallDispatcher:
     def dispatch(self, agent: Agent, thread: int, leave: HostCall) -> None:
         """Execute a thread's host call, unless its limit has expired or its call is cancelled.
 
-        It is repeated after a collection when the heap is full.
+        The host call is repeated after a collection when the heap is full.
         """
         if agent.pending_cancels and self._cancellation.deliver_at_head(
             agent, thread, leave.op, leave.operand
@@ -162,10 +162,10 @@ class HostCallDispatcher:
             self._poll(agent, thread)
 
     def _poll(self, agent: Agent, thread: int) -> None:
-        """A thread that only yields: `while (!done) yield();`.
+        """Park or delay a thread that only yields: `while (!done) yield();`.
 
-        If its turn changed nothing in its block, the next one will not either until another thread of the
-        agent runs: it is parked. If it read the clock or a device, it gets delayed turns.
+        If its turn did not change the block, the next turn will not change it either until another thread of
+        the agent runs: the thread is parked. If it read the clock or a device, its turns are delayed.
         """
         scheduler = self._scheduler
         agent.note_poll()
@@ -188,7 +188,7 @@ class HostCallDispatcher:
         scheduler.engine.complete(agent.block, place_of(agent.block, thread), 0)
         scheduler.open(agent)
         seconds = real_from_bits(words[0])
-        # NaN does not sleep; a wait beyond any mission is unlimited.
+        # A thread does not sleep for NaN; a wait that is longer than any mission is unlimited.
         scheduler.run_queue.sleep(agent, thread, min(seconds, 1e9) if seconds > 0 else 0.0)
 
     def _now(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
@@ -344,7 +344,7 @@ class HostCallDispatcher:
             value = scheduler.world.call_device(agent, thread, call, values)
             if isinstance(value, Pending):
                 return
-            # Objects may be bound to different devices: resolved at each call.
+            # Objects may be bound to different devices, so the device is determined at each call.
             agent.readings[operand] = None if held else scheduler.world.telemetry_reading(agent, call)
             scheduler.complete(
                 agent,
@@ -359,7 +359,7 @@ class HostCallDispatcher:
             )
 
     def _call_on_field(self, agent: Agent, call: DeviceCallRecord, number: int) -> DeviceCallRecord:
-        """A device call of an object, as one of the resource's own field."""
+        """A device call of an object, converted to a call of the resource's own field."""
         core = self._scheduler.program.core
         owner = self._scheduler.program.class_index[agent.member.type]
         device = core.classes[owner].devices[number - 1]

@@ -15,14 +15,16 @@ from lfield.vm.pending_call import CallRequest, PendingCall
 
 
 class Pending:
-    """Type of PENDING: the answer follows later."""
+    """The type of PENDING, which means that the answer follows later."""
 
 
 PENDING: Final = Pending()
 
 
 class Sequencer(Protocol):
-    """The home's side; each returns None for not yet, with the asking coordinator suspended. Raises Trap."""
+    """The services of a home. Each method returns None, with the asking coordinator suspended, if the answer
+    is not available yet. Raises Trap.
+    """
 
     def start(self, asking: Agent, member: TeamMember, request: int) -> bool | None:
         """Start a coordinator of this host; the same `request` only once."""
@@ -34,37 +36,38 @@ class Sequencer(Protocol):
         """Order the end of a coordinator of this host."""
 
     def end_of(self, asking: Agent, member: TeamMember) -> str | None:
-        """How it has ended."""
+        """The outcome of a coordinator of this host."""
 
     def is_running(self, asking: Agent, member: TeamMember) -> bool | None:
-        """Whether it runs."""
+        """Whether a coordinator of this host runs."""
 
 
 class HostInterface(Protocol):
-    """The host's side. Every method returns at once."""
+    """The services of the host. Every method returns at once."""
 
     @property
     def sequencer(self) -> Sequencer:
         """Starts and stops the coordinators of this host that others may start."""
 
     def write(self, agent: Agent, text: str) -> None:
-        """Program output: whole lines, or the remainder of one when its thread ends."""
+        """Program output: whole lines, or the rest of a line when its thread ends."""
 
     def on_input_awaited(self, agent: Agent, seconds: float) -> None:
-        """A thread of an agent waits for a line of the operator's input, at most so long."""
+        """A thread of an agent waits for a line of the operator's input, at most `seconds`."""
 
     def on_line_read(self, agent: Agent, text: str) -> None:
         """An agent reads a line of the operator's input."""
 
     def on_readers_changed(self, agents: Sequence[str]) -> None:
-        """These agents wait for a line now."""
+        """The agents that wait for a line have changed."""
 
     def log(self, agent: Agent, text: str) -> None:
         """A line of `print`."""
 
     def depart(self, agent: Agent, resource: TeamMember) -> None:
-        """The suspended coordinator must migrate to the host of the resource. Answered by `Machine.release`
-        when it has left, or `Machine.resume` with the reason of failure."""
+        """The suspended coordinator must migrate to the host of the resource. The host answers with
+        `Machine.release` when the coordinator has left, or `Machine.resume` with the reason of the failure.
+        """
 
     def report(self, agent: Agent, line: LogLine) -> None:
         """A line of the host's log about an agent."""
@@ -74,20 +77,20 @@ class HostInterface(Protocol):
 
         `has_side_effects`: the portal may have side effects.
 
-        True: it starts at once, with the block unchanged. False: it has not started. After `Machine.unfreeze`
-        this is called again, unless `Machine.resume` gives a reason against the call.
-
-        For a fenced coordinator it is called before every portal, otherwise only before portals with side
-        effects while not `Agent.is_persisted`: the implementation sets that when the present block is on
-        disk. It is set on arrival, since the block was stored then.
+        True: the portal starts at once, with the block unchanged. False: it has not started. After
+        `Machine.unfreeze` this method is called again, unless `Machine.resume` gives a reason against the
+        call. For a fenced coordinator the method is called before every portal, otherwise only before portals
+        with side effects while `Agent.is_persisted` is not set: the implementation sets it when the present
+        block is on disk. It is set on arrival, because the block is stored then.
         """
 
     def acquire_reservation(self, agent: Agent, resource: TeamMember, *, nested: bool) -> int:
         """The reservation number of a resource of this host, for a suspended coordinator.
 
-        If this start already has the resource, it keeps it under this number. 0: not yet; after
-        `Machine.unfreeze` this is called again, unless `Machine.resume` gives a reason against it. After that
-        or `abandon_wait`, it is not granted. `nested`: it has another reservation and must not wait.
+        If this start already has the resource, it keeps the resource under this number. 0: not yet; after
+        `Machine.unfreeze` this method is called again, unless `Machine.resume` gives a reason against the
+        reservation. After `resume` or `abandon_wait` the reservation is not granted. `nested`: the
+        coordinator has another reservation and must not wait.
 
         Raises Trap (ReservedException, UnreachableResourceException) if refused. A coordinator whose rules
         allow no call of the resource is refused before.
@@ -96,61 +99,66 @@ class HostInterface(Protocol):
     def release_reservations(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
         """A coordinator here leaves a `reserve`: these resources, here or not, and their numbers.
 
-        Does not wait. A release that is lost without a link takes effect with the end of its lease.
+        The method does not wait. A release that is lost without a link takes effect at the end of the lease.
         """
 
     def may_serve(self, agent: Agent, resource: TeamMember, number: int) -> bool:
         """Whether a portal of a resource of this host may start for a suspended coordinator.
 
-        `number` is that of its reservation, 0 for none. Called while the resource is `Agent.reserved`, and
-        with any number: before `may_start_call` for a call, before `may_start_calls` for each call of a
-        `together`, where a Trap is the outcome of that call.
+        `number` is the number of its reservation, 0 without one. The method is called while the resource is
+        `Agent.reserved`, and for any number: before `may_start_call` for a call, before `may_start_calls` for
+        each call of a `together`, where a Trap is the outcome of that call.
 
-        False: not yet. After `Machine.unfreeze` this is called again, unless `Machine.resume` gives a reason
-        against it, with the resource as `source`. Raises Trap (ReservedException, ReservationLostException).
+        False: not yet. After `Machine.unfreeze` this method is called again, unless `Machine.resume` gives a
+        reason against the call, with the resource as `source`. Raises Trap (ReservedException,
+        ReservationLostException).
         """
 
     def may_start_calls(self, agent: Agent, calls: Sequence[CallRequest]) -> bool:
         """Whether the calls of the suspended coordinator's `together` for this host may start now.
 
-        True: they start at once, with the block unchanged. False: nothing has started. After
-        `Machine.unfreeze` this is called again, unless `Machine.resume` gives a reason against it. Called
-        before every such visit: a host with a journal first stores a page per call, and the present block.
+        True: the calls start at once, with the block unchanged. False: no call has started. After
+        `Machine.unfreeze` this method is called again, unless `Machine.resume` gives a reason against the
+        calls. It is called before every such visit: a host with a journal first stores a page per call, and
+        the present block.
         """
 
     def on_call_completed(self, pending: PendingCall) -> None:
         """A pending call here has ended (`PendingCall.state`, `result`).
 
-        When the host has stored that, or at once without a journal, it calls `PendingCalls.on_persisted`;
+        When the host has stored the end, or at once without a journal, it calls `PendingCalls.on_persisted`;
         only then the coordinator can fetch the result.
         """
 
     def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
-        """A coordinator waits here for the first of several calls; these (resource, number) run elsewhere.
+        """A coordinator waits here for the first of several calls; these (resource, number) run on other
+        hosts.
 
-        Until it waits no longer (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers
-        of calls that have ended, and of those whose host is unreachable. A hint: the coordinator goes there.
+        While it waits (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers of calls
+        that have ended, and of calls whose host is unreachable. This is a hint: the coordinator goes to that
+        host.
         """
 
     def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         """A coordinator cancels calls (resource, number) on several other hosts, and goes there next.
 
-        Their hosts may cancel them already: `PendingCalls.cancel_started`. A hint: it cancels them when it
-        is there.
+        These hosts may cancel the calls before the coordinator arrives: `PendingCalls.cancel_started`. This
+        is a hint: the coordinator itself cancels the calls when it is there.
         """
 
     def abandon_wait(self, agent: Agent) -> bool:
-        """The limit of a suspended coordinator has expired. Whether it is here and can be resumed.
+        """The limit of a suspended coordinator has expired. Returns whether it is here and can be resumed.
 
-        True: nothing was sent or started, and the host waits no longer; the machine throws. False: it may
-        have left, or is resumed soon by `Machine.unfreeze`, `resume` or `release`.
+        True: no coordinator was sent, no call was started, and the host does not wait any more; the machine
+        throws. False: the coordinator may have left, or is resumed soon by `Machine.unfreeze`, `resume` or
+        `release`.
         """
 
     def cancel(self, agent: Agent, thread: int) -> bool:
-        """Cancel the device instruction that a thread waits for, as its manifest says.
+        """Cancel the device instruction that a thread waits for, as its manifest prescribes.
 
-        True: `Machine.throw_builtin` (CancelledException) or `answer` follows. False: it cannot be cancelled
-        (a landing, a safe state), and is answered as usual.
+        True: `Machine.throw_builtin` (CancelledException) or `answer` follows. False: the instruction cannot
+        be cancelled (a landing, a safe state), and is answered as usual.
         """
 
     def is_superseded(self, agent: str, generation: int) -> bool:
@@ -162,26 +170,29 @@ class HostInterface(Protocol):
     def call_device(
         self, agent: Agent, thread: int, call: DeviceCallRecord, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
-        """Execute a device instruction: its value, or PENDING and later `Machine.answer` or
-        `Machine.throw_builtin`. Raises DeviceError."""
+        """Execute a device instruction: returns its value, or PENDING and later `Machine.answer` or
+        `Machine.throw_builtin`. Raises DeviceError.
+        """
 
     def telemetry_reading(self, agent: Agent, call: DeviceCallRecord) -> Reading | None:
-        """The reading behind an immediate query answer; None when it must be queried each time."""
+        """The reading behind an immediate query answer; None if the value must be queried each time."""
 
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[FoundOffer]:
         """The present offers of a capability that fulfil the condition, best first.
 
-        Only by realisations with which the program was built (`offer_objects.ways`). Raises ConstraintError,
-        and SearchIncomplete if no offer was found and the search was not exhaustive.
+        Only realisations with which the program was built are used (`offer_objects.ways`). Raises
+        ConstraintError, and SearchIncomplete if no offer was found and the search was not exhaustive.
         """
 
     def teams(
         self, agent: Agent, capability: str, constraint: str | None, size: int
     ) -> Sequence[Sequence[FoundOffer]]:
-        """Combinations of that many offers without common agents, best first. Raises what `offers` does."""
+        """Combinations of `size` offers without common agents, best first. Raises the errors of `offers`."""
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
-        """Why each other agent is no offer, a line each; '' for none. Raises ConstraintError."""
+        """The reasons why the other agents are no offers, a line each; '' for none. Raises
+        ConstraintError.
+        """
 
     def ended(self, agent: Agent) -> None:
         """A coordinator has ended, or an agent died of an uncaught exception (`agent.report`)."""

@@ -1,7 +1,7 @@
 """The machine of one host: its agents and the scheduling of their threads.
 
-A synchronous state machine: the host calls it (start, inject, answer, run), it calls the host's
-`HostInterface`. `run` returns when no thread is ready, with the time until one is.
+A synchronous state machine: the host calls the machine (start, inject, answer, run), and the machine calls
+the host's `HostInterface`. `run` returns when no thread is ready, with the time until a thread is ready.
 """
 
 from __future__ import annotations
@@ -61,9 +61,10 @@ from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunLimit
 from lfield.vm.waits.operator_input import OperatorInput
 from lfield.vm.waits.sequencing import SequencingHandlers
 
-#: Instructions of a thread's turn.
+#: The instructions of a thread's turn.
 SLICE = 2000
-#: Limits of one call of `run`, after which the host handles its events, beside those of `RunLimit`.
+#: The limits of one call of `run`, after which the host handles its events, in addition to those of
+#: `RunLimit`.
 SLICES_PER_RUN, TURNS_PER_RUN = 20, 100
 
 
@@ -92,7 +93,7 @@ class Machine:
         self._scheduler = scheduler = Scheduler(
             program, incarnation, host, clock, portal_calls.fail, engines or ReferenceEngine, self.hooks
         )
-        #: The agents on this host, by id, and those of them whose `init` has not reached its first pause.
+        #: The agents on this host, by id, and the agents whose `init` has not reached its first pause.
         self.agents, self.opening = scheduler.agents, scheduler.opening
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.run_queue
         self.operator_input = OperatorInput(scheduler)
@@ -156,9 +157,9 @@ class Machine:
     ) -> Agent:
         """End of a hop: inject a coordinator from another host; raises BlockError for invalid bytes.
 
-        `downtime` is its transit time in seconds, as far as its host knows: its time limits include it. It is
-        suspended at its portal call, which is here, until `unfreeze` or `resume`. Another start of it on this
-        host ends: a host never runs two starts of one coordinator.
+        `downtime` is its transit time in seconds, as far as its host knows; its time limits include this
+        time. The coordinator is suspended at its portal call, which is here, until `unfreeze` or `resume`.
+        Another start of the coordinator on this host ends: a host never runs two starts of one coordinator.
         """
         agent = self.restore(member, image, limits, downtime, IN_TRANSIT)
         if self._scheduler.pending_calls:
@@ -177,9 +178,10 @@ class Machine:
         downtime: float = 0.0,
         late_reason: str = HOST_DOWN,
     ) -> Agent:
-        """As `inject`, for a block that was packed on this host: it has made no hop since.
+        """As `inject`, for a block that was packed on this host and has made no hop since.
 
-        `downtime` is how long the host was down, in seconds; `late_reason` is for exceptions.
+        `downtime` is the time in seconds for which the host was down; `late_reason` is the reason of a delay,
+        for exceptions.
         """
         block = self._verifier.check(image, limits.heap // 8)
         age = block.w[layout.W_CLOCK] + int(max(0.0, downtime) * 1e9)
@@ -224,7 +226,8 @@ class Machine:
     def store_clock(self, agent: Agent) -> None:
         """Store the present time of the coordinator's own clock in its block.
 
-        A block that was packed earlier and is sent now has waited meanwhile: its time limits include that.
+        A block that was packed earlier and is sent now has waited since then, and its time limits include
+        this wait.
         """
         now = round((self.hooks.fresh_time or self._now)() * 1e9) + agent.offset
         agent.block.w[layout.W_CLOCK] = now if now < layout.COUNT_LIMIT else layout.COUNT_LIMIT - 1
@@ -235,7 +238,7 @@ class Machine:
         self._scheduler.release(agent)
 
     def stop_coordinator(self, agent: Agent, reason: str) -> None:
-        """End a coordinator here as by a limit around its `init`; it may have to be repeated."""
+        """End a coordinator here as by a limit around its `init`; the call may have to be repeated."""
         if not agent.ended and (word := stop_limit(agent.block, self.program)):
             self._deadlines.stop(agent, word, reason)
 
@@ -248,10 +251,11 @@ class Machine:
     ) -> None:
         """Resume a suspended coordinator with an exception at the statement that called the portal.
 
-        In a `together` the exception is that of the calls which cannot start or be fetched; a
-        ReservedException that of the calls of `source` alone; a RestartException is the coordinator's own and
-        is thrown at once, unless it is already leaving the block. A coordinator that was `recovered` may have
-        done more, also after its time limit or after the block: this exception comes before any other.
+        In a `together` the exception applies to the calls that cannot start or be fetched; a
+        ReservedException applies only to the calls of `source`; a RestartException applies to the coordinator
+        and is thrown at once, unless the coordinator is already leaving the block. A coordinator that was
+        `recovered` may have executed more, also after its time limit or after the block: this exception
+        precedes any other.
         """
         agent.resume()
         head = "" if recovered else self.itinerary.head(agent)
@@ -264,7 +268,8 @@ class Machine:
 
     def detach_caller(self, agent: Agent, kind: str, message: str) -> bool:
         """Throw a built-in exception in a coordinator that waits for a portal of this host, whose result is
-        then dropped. False, without effect, when it waits for none: it runs, sleeps, or is suspended.
+        then dropped. Returns False, without effect, if it waits for no portal: it runs, sleeps, or is
+        suspended.
         """
         if agent.ended or self.itinerary.head(agent) in CANCELLING_HEADS:
             return False
@@ -316,7 +321,7 @@ class Machine:
             if not ready or remaining <= 0:
                 break
             agent, thread = ready.popleft()
-            # Where no other thread can become ready, a long turn delays none.
+            # If no other thread can become ready, a long turn delays no thread.
             others = ready or agent.pollers or agent.blocked or agent.monitor_waits
             is_alone = not (others or self.hooks.meter)
             try:
@@ -336,18 +341,20 @@ class Machine:
                 self._fail_agent(agent, 0, error)
 
     def _fail_agent(self, agent: Agent, thread: int, error: Exception) -> None:
-        """A bug of lfield in a turn of a thread ends its agent only."""
+        """End the agent, and only this agent, because of a bug of lfield in a turn of its thread."""
         frame = python_traceback.extract_tb(error.__traceback__)[-1]
         where = f"{frame.filename.rpartition('/')[2]}:{frame.lineno}"
         reason = f"bug in lfield: {type(error).__name__}: {error} ({where})"
         try:
             self._scheduler.die(agent, reason, thread, broken=True)
         except Exception:
-            # Its stack cannot be printed; its callers must still get their exception.
+            # The stack cannot be printed, but the callers must still get their exception.
             self._scheduler.die(agent, reason, broken=True)
 
     def _turn(self, agent: Agent, thread: int, budget: int, number: int) -> int:
-        """Run at most `budget` instructions of a thread in the turn `number` of a run; returns how many."""
+        """Run at most `budget` instructions of a thread in the turn `number` of a run; returns their
+        number.
+        """
         if agent.ended or agent.frozen:
             return 0
         engine, block = self.engine, agent.block

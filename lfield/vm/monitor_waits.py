@@ -1,11 +1,11 @@
 """`wait until`: threads of a resource that have left its monitor until a condition holds (decision 103).
 
-    wait_leave   leaves the monitor; throws the end of the time, or a cancellation, while it still holds it
+    wait_leave   leaves the monitor; throws the end of the time, or a cancellation, while it holds the monitor
     wait_enter   parks the thread until another thread has run and the monitor is free, then enters again
 
-The thread then evaluates its condition. If that is false it waits again, which wakes no other waiting thread:
-it has changed nothing. So a thread that waits costs no time while its resource is idle. One whose condition
-reads a clock or a device is woken every 5 ms.
+The thread then evaluates its condition. If the condition is false, the thread waits again, which wakes no
+other waiting thread, since no state has changed. So a waiting thread uses no time while its resource is idle.
+A thread whose condition reads a clock or a device is woken every 5 ms.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ def wake(queue: RunQueue, agent: Agent, thread: int) -> None:
 
 
 def after_turn(queue: RunQueue, agent: Agent, thread: int, leave: EngineExit) -> None:
-    """A thread of an agent with waiting threads had a turn: what they wait for may hold now."""
+    """A thread of an agent with waiting threads had a turn: the conditions of the waiting threads may hold
+    now.
+    """
     if isinstance(leave, HostCall) and leave.op in (_LEAVE, _ENTER):
         return
     if agent.monitor_waits.get(thread) == EVALUATES:
@@ -57,7 +59,7 @@ class MonitorWaits:
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler, self._queue = scheduler, scheduler.run_queue
-        #: The ends, by agent and thread, for which an alarm is set.
+        #: The ends of waits, by agent and thread, for which an alarm is set.
         self._alarms: set[tuple[str, int, int]] = set()
 
     def handlers(self) -> dict[str, Handler]:
@@ -89,7 +91,7 @@ class MonitorWaits:
         is_first = thread not in agent.monitor_waits
         agent.start_monitor_wait(thread, POLLS if polls else WAITS)
         if is_first:
-            # It may have changed what others wait for.
+            # The thread may have changed the conditions of other threads.
             for waiting in [one for one in agent.monitor_waits if one != thread]:
                 wake(self._queue, agent, waiting)
         self._scheduler.complete_at_once(agent, thread, entries)

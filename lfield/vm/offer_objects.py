@@ -22,11 +22,11 @@ from lfield.vm.memory.layout import header
 class FoundOffer(Struct, frozen=True):
     """One present offer.
 
-    `way` is the field of the capability's class for its realisation. A direct one is a proxy for the agent
-    number `member`; otherwise `parts` are the offers by field. `kind` is its name. Attributes have a name, a
-    number (NaN for none), a text (None: show the number), an age in seconds (NaN: constant) and a source; the
-    five are equally long. `found` is the number of offers (of a component 0), and `note` describes what was
-    omitted.
+    `way` is the field of the capability's class for its realisation. A direct offer is a proxy for the agent
+    number `member`; otherwise `parts` are the offers by field. `kind` is the name of the realisation.
+    Attributes have a name, a number (NaN for none), a text (None: show the number), an age in seconds (NaN:
+    constant) and a source; the five sequences have equal lengths. `found` is the number of offers (0 for a
+    component), and `note` describes omitted data.
     """
 
     way: str
@@ -111,7 +111,7 @@ class OfferClasses:
                 self.teams[index] = created.get(array, -1)
             #: The class of descriptions, and its two array types.
             self.facts = core.types[record.fields[0].type].of
-            #: Its number of fields: fewer in programs of an older lfield.
+            #: The number of fields of descriptions, which is lower in programs of an older lfield.
             self.fact_count = len(core.classes[self.facts].fields)
             self.strings, self.reals = (core.classes[self.facts].fields[i].type for i in (4, 5))
 
@@ -147,7 +147,7 @@ def write_teams(
     found: Sequence[Sequence[FoundOffer]],
     now: float,
 ) -> int:
-    """An array of teams, each an array of offers. Raises what `write_offers` does."""
+    """An array of teams, each an array of offers. Raises the errors of `write_offers`."""
     writer = _Writer(offer_classes, block.top, now)
     teams = [writer.offers(capability, team) for team in found]
     return _written(block, writer, writer.array(offer_classes.teams[capability], teams))
@@ -162,7 +162,7 @@ def _written(block: Block, writer: _Writer, place: int) -> int:
 
 
 class _Writer:
-    """Writes new objects from the word `base` on; equal ones are written once."""
+    """Writes new objects from the word `base` on; equal objects are written once."""
 
     def __init__(self, offer_classes: OfferClasses, base: int, now: float) -> None:
         self.words = array("q")
@@ -219,7 +219,7 @@ class _Writer:
         return self.put(layout.OBJECT, self._shapes.facts, description[: self._shapes.fact_count])
 
     def _shared_array(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
-        """The array of some values, shared by all offers with equal ones."""
+        """The array of some values, shared by all offers with equal values."""
         place = self._made.get((type, value))
         if place is None:
             place = self._made[type, value] = self.array(type, body())

@@ -27,23 +27,23 @@ class CallRequest(Struct, frozen=True):
 
 @dataclass(slots=True, eq=False)
 class PendingCall:
-    """A call started here by a start (`generation`) of the coordinator `agent`.
+    """A call that a start (`generation`) of the coordinator `agent` has started here.
 
     `state` is "running", then "done" or "thrown" with the result or exception in `result` (see
-    `lfield.vm.memory.serialised_results`); "lost" if an earlier incarnation of this host started it without a
-    result. `is_persisted`: the result is on disk, and may be fetched. A call that will never be fetched is
-    `dropped`.
+    `lfield.vm.memory.serialised_results`); "lost" if an earlier incarnation of this host started the call and
+    has no result. `is_persisted`: the result is on disk, and may be fetched. A call that will never be
+    fetched is `dropped`.
 
     A call of a future (`is_future`) runs to its end, even if its coordinator has dropped the future.
     `failure` is the exception of a call as text.
 
-    `deadline` is its nearest time limit in ns of the coordinator's clock, 0 for none; `is_expired`: that
-    limit cancelled it.
+    `deadline` is its nearest time limit in ns of the coordinator's clock, 0 for none; `is_expired`: this
+    limit cancelled the call.
 
     A call of a person has the name of the caller as `agent`, and `is_of_person`.
 
-    `call` is the number of the portal call and `method` the portal's index, 0 if not running in this
-    incarnation; `waiter` is the coordinator and thread that wait here for it.
+    `call` is the number of the portal call and `method` the portal's index, 0 if the call does not run in
+    this incarnation; `waiter` is the coordinator and thread that wait here for the call.
     """
 
     agent: str
@@ -71,16 +71,16 @@ class PendingCall:
 
     @property
     def id(self) -> str:
-        """The id of the coordinator, as an agent has it, for `Machine.caller`."""
+        """The id of the coordinator under the name that an agent has for it, for `Machine.caller`."""
         return self.agent
 
     @property
     def cancel_reason(self) -> str:
-        """What its portal is told when its coordinator cancels it."""
+        """The reason that the portal gets when the coordinator cancels the call."""
         what = "has cancelled" if self.is_future else "has left the together that called"
         return f"{self.agent} {what} {self.portal}()"
 
     @property
     def ended(self) -> str:
-        """Why it must not be served any more; '' while it runs (`Agent.ended`)."""
+        """The reason why the call must not be served any more; '' while it runs (`Agent.ended`)."""
         return "dropped" if self.dropped else ""

@@ -72,7 +72,7 @@ def call(
 
 
 def live_resource(scheduler: Scheduler, member: TeamMember) -> Agent:
-    """A live resource of this host. Raises Trap when it has died."""
+    """A live resource of this host. Raises Trap if the resource has died."""
     resource = scheduler.agents.get(member.id)
     if resource is None or resource.ended:
         why = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
@@ -85,8 +85,9 @@ def target_resource(
 ) -> Agent:
     """The resource of this host that a proxy refers to, if it serves this caller. Raises Trap otherwise.
 
-    The only place where rules are checked. A copy older than the newest served one is refused. A proxy called
-    in another incarnation of this host throws first: the fields of its resource are lost.
+    Only this function checks rules. A copy older than the newest served one is refused. A proxy that was last
+    called in another incarnation of this host throws an exception first, because the fields of its resource
+    are lost.
     """
     resource = scheduler.agents.get(member.id)
     if resource is None or resource.ended:
@@ -107,7 +108,7 @@ def target_resource(
 
 
 def _outdated_reason(scheduler: Scheduler, resource: Agent, caller: Agent, copy: tuple[int, int]) -> str:
-    """Why a copy older than the newest is refused; '' when the newest is of a stopped start."""
+    """The reason why a copy older than the newest is refused; '' when the newest is of a stopped start."""
     generation, _ = resource.newest_callers[caller.id]
     if generation == copy[0]:
         what = "copy"
@@ -121,7 +122,7 @@ def _outdated_reason(scheduler: Scheduler, resource: Agent, caller: Agent, copy:
 def is_served(scheduler: Scheduler, resource: Agent, caller: Agent, reservation: int) -> bool:
     """Whether reservations permit a portal to start; otherwise its caller is suspended.
 
-    Raises Trap when they never will.
+    Raises Trap if they will never permit it.
     """
     if not resource.reserved and not reservation:
         return True
@@ -132,7 +133,7 @@ def is_served(scheduler: Scheduler, resource: Agent, caller: Agent, reservation:
         caller.resume()
         raise
     if served:
-        # Otherwise it is suspended, or may have been released already.
+        # Otherwise the caller is suspended, or may have been released already.
         caller.resume()
     return served
 
@@ -142,7 +143,7 @@ def _may_start(scheduler: Scheduler, caller: Agent, acts: bool) -> bool:
     caller.freeze()
     may = scheduler.world.may_start_call(caller, acts)
     if may:
-        # Otherwise it is suspended, or was released already.
+        # Otherwise the caller is suspended, or was released already.
         caller.resume()
     return may
 
@@ -155,7 +156,7 @@ def start_call(
     method: int,
     words: list[int],
 ) -> int:
-    """Copy the arguments and create the portal's thread, not yet queued; returns its id.
+    """Copy the arguments and create the portal's thread, which is not queued yet; returns its id.
 
     The proxy is the first of the words; `waits` receives the result. Raises Trap at a limit.
     """
@@ -202,7 +203,7 @@ def serve(
     """Run a started portal in its `turn`, or let the stub of its resource answer.
 
     The thread then stays at the first instruction of the portal, outside any handler: exceptions go to the
-    caller, and it can be cancelled like any other.
+    caller, and the portal can be cancelled like any other.
     """
     stand_in = scheduler.hooks.stubs.get(resource.id)
     if stand_in is None:
@@ -223,7 +224,7 @@ class _StubCall(Struct, frozen=True):
     method: int
 
     def return_result(self, make: Callable[[Block], int]) -> None:
-        """End it with the result that `make` creates in the resource's block."""
+        """End the call with the result that `make` creates in the resource's block."""
         scheduler, resource = self.scheduler, self.resource
         if not self._is_pending:
             return
@@ -236,7 +237,7 @@ class _StubCall(Struct, frozen=True):
         finish(scheduler, resource, self.thread, number, word)
 
     def throw(self, kind: str, message: str) -> None:
-        """End it by a built-in exception."""
+        """End the call by a built-in exception."""
         if self._is_pending:
             self.scheduler.throw_builtin(self.resource, self.thread, kind, message, self.resource.id)
 
@@ -260,7 +261,7 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
             _complete_pending(scheduler, resource, waits, word)
         else:
             _return(scheduler, resource, waits[0], waits[1], word)
-        # Until here, a waiter would be informed of the resource's end.
+        # Up to this point, a waiter would be informed of the resource's end.
         del scheduler.calls[number]
     scheduler.forget(resource, thread)
 
@@ -340,7 +341,7 @@ def _source_of(about: str, resource: str) -> str:
 
 
 def _with_resource(line: str, resource: str) -> str:
-    """A line of a trace with its resource, which the note of a `finally` lacks."""
+    """A line of a trace with its resource, which is missing in the note of a `finally`."""
     return line if " in " in line.rpartition(")")[2] else f"{line} in {resource}"
 
 
@@ -359,7 +360,9 @@ def _rethrow(
 
 
 def detach_caller(scheduler: Scheduler, caller: Agent) -> bool:
-    """Detach the waiting caller of a portal call; its result will be dropped. False for none."""
+    """Detach the waiting caller of a portal call; its result will be dropped. Returns False without a waiting
+    caller.
+    """
     return (
         leave_init_queue(scheduler, caller)
         or scheduler.calls.pop(call_number(scheduler, caller), None) is not None
@@ -367,7 +370,9 @@ def detach_caller(scheduler: Scheduler, caller: Agent) -> bool:
 
 
 def leave_init_queue(scheduler: Scheduler, caller: Agent) -> bool:
-    """Remove a coordinator from the queue of a resource whose init is running; false if it was not in it."""
+    """Remove a coordinator from the queue of a resource whose init is running; false if it was not in the
+    queue.
+    """
     thread = only_thread(caller.block)
     return any(resource.remove_waiting(caller, thread) for resource in scheduler.agents.values())
 

@@ -1,6 +1,6 @@
 """Thread scheduler of one host's agents: completion, exceptions and termination.
 
-It is below portals and host calls, which use its methods; the machine connects them.
+Portals and host calls use its methods; the machine connects them.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ LATE_THRESHOLD = 0.2
 class Scheduler:
     """Agents by id, their turns, and the portal calls in progress.
 
-    `incarnation` is that of the host. `failed(self, served, thread, call, thrown)` is called when a portal
-    ends by an uncaught exception; `thrown` is its place in the block of `served`.
+    `incarnation` is the incarnation of the host. `failed(self, served, thread, call, thrown)` is called when
+    a portal ends by an uncaught exception; `thrown` is the place of the exception in the block of `served`.
     """
 
     def __init__(
@@ -73,12 +73,12 @@ class Scheduler:
         #: Portal calls in progress: by number, the waiting caller, or the record of a pending call that is
         #: fetched later.
         self.calls: dict[int, tuple[Agent, int] | PendingCall] = {}
-        #: Queries of the host, by call number: each is called with the result word, or the place of the
+        #: Queries of the host, by call number: each query is called with the result word, or the place of the
         #: exception.
         self.resource_queries: dict[int, Callable[[int, int], None]] = {}
-        #: Calls of a `together` begun here, until they are fetched.
+        #: Calls of a `together` that were started here, until they are fetched.
         self.pending_calls: dict[CallKey, PendingCall] = {}
-        #: Numbers for portal calls.
+        #: The numbers for portal calls.
         self.call_numbers = count(1)
         self.run_queue = RunQueue(clock)
         self.hooks = hooks
@@ -105,7 +105,7 @@ class Scheduler:
         return agent.block.w[place_of(agent.block, thread) + THREAD_PC]
 
     def set_state(self, agent: Agent, thread: int, state: int) -> None:
-        """Record in the block what the thread waits for."""
+        """Record the state of a waiting thread in the block."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = state
 
     # --- start ----------------------------------------------------------------------------------------
@@ -163,7 +163,9 @@ class Scheduler:
     def complete(
         self, agent: Agent, thread: int, word: Callable[[], int], *, keeps_turn: bool = False
     ) -> None:
-        """Pass the result of its instruction to a waiting thread, and queue it, first if it `keeps_turn`."""
+        """Pass the result of its instruction to a waiting thread, and queue the thread, at the front if it
+        `keeps_turn`.
+        """
         try:
             result = self.run_with_collection(agent, word)
         except Trap as trap:
@@ -189,7 +191,7 @@ class Scheduler:
         self.throw(agent, thread, thrown)
 
     def throw_expired(self, caller: Agent, thread: int, source: str) -> None:
-        """A call that a time limit has cancelled has ended: throw in its caller, with the delay."""
+        """After the end of a call that a time limit has cancelled: throw in its caller, with the delay."""
         late = (self.clock_of(caller) - caller.expired_at) / 1e9
         lateness = f", {late:.1f} s late: it took that long to end" if late >= LATE_THRESHOLD else ""
         self.throw_builtin(caller, thread, "TimeLimitException", f"{caller.expiry_message}{lateness}", source)
@@ -232,7 +234,8 @@ class Scheduler:
     def run_with_collection(self, agent: Agent, work: Callable[[], T]) -> T:
         """Execute `work`, which may raise HeapFull, again after each collection. Raises Trap at the limit.
 
-        Each collection leaves at least twice the words known to be needed, so work of unknown size needs few.
+        Each collection leaves at least twice the words known to be needed, so work of unknown size needs few
+        collections.
         """
         while True:
             start = agent.block.top
@@ -247,7 +250,9 @@ class Scheduler:
                 )
 
     def collect_and_retry(self, agent: Agent, thread: int, words: int) -> None:
-        """Collect for an instruction that lacks that many words, and repeat it; else throw."""
+        """Collect garbage for an instruction that needs `words` more words, and repeat the instruction;
+        otherwise throw.
+        """
         block = agent.block
         collect(block, self.layouts, words)
         if block.top + words <= block.limit:
@@ -285,7 +290,7 @@ class Scheduler:
     def die(
         self, agent: Agent, reason: str, thread: int = 0, trace: str = "", *, broken: bool = False
     ) -> None:
-        """End an agent; its report has the reason and the stack. `broken`: by a bug of lfield."""
+        """End an agent; its report has the reason and the stack. `broken`: a bug of lfield is the cause."""
         lines = [reason]
         if trace:
             lines += trace.splitlines()
@@ -317,7 +322,7 @@ class Scheduler:
                 self.throw_builtin(*call, "UnreachableResourceException", message, resource.id)
 
     def complete_pending(self, pending: PendingCall, state: Literal["done", "thrown"], result: bytes) -> None:
-        """A pending call has ended: the host stores it, and a waiter checks again."""
+        """A pending call has ended: the host stores the result, and a waiter checks again."""
         if pending.state != "running":
             return
         pending.state, pending.result = state, result
@@ -326,7 +331,7 @@ class Scheduler:
         self.wake_waiter(pending)
 
     def wake_waiter(self, pending: PendingCall) -> None:
-        """A coordinator that waits for this call, or for the first of several, checks again: once."""
+        """A coordinator that waits for this call, or for the first of several, checks once more."""
         waiter, pending.waiter = pending.waiter, None
         if waiter is None:
             return
@@ -362,12 +367,12 @@ class Scheduler:
             agent.pending_cancels.pop(thread, None)
 
     def end_line(self, agent: Agent, thread: int) -> None:
-        """Write the remainder of a thread's line as a line: its thread waits for an answer to it."""
+        """Write the rest of a thread's line as a line, because the thread waits for an answer to it."""
         if rest := agent.lines.pop(thread, ""):
             self.world.write(agent, f"{rest}\n")
 
     def flush(self, agent: Agent, thread: int) -> None:
-        """Write the remainder of a thread's line."""
+        """Write the rest of a thread's line."""
         if rest := agent.lines.pop(thread, ""):
             self.world.write(agent, rest)
 

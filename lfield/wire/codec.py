@@ -11,11 +11,11 @@
 | COMPRESSED (13) | checksum, a CONTROL message compressed in the context of earlier ones            |
 
 Numbers are big-endian. A checksum is the CRC-32 of the bytes after it, initialised with the length of the
-payload instead of zero. The one of a transfer covers the header only; the block has its own, so that a header
-can be verified without reading its block. The block has an Adler-32, which takes a fifth of the time and also
-detects every single flipped bit. A frame with a wrong checksum is a WireError: the link is closed, and lost
-messages are requested again. Any two kinds differ in at least two bits, so that one flipped bit never turns
-one into another.
+payload instead of zero. The checksum of a transfer covers only the header; the block has a checksum of its
+own, so that a header can be verified without reading its block. The block has an Adler-32, which takes a
+fifth of the time and also detects every single flipped bit. A frame with a wrong checksum is a WireError: the
+link is closed, and lost messages are requested again. Any two kinds differ in at least two bits, so that one
+flipped bit never changes a kind into another one.
 
 A long frame may be sent in parts, so that a stop order can be sent between two of them. The parts of a frame
 are consecutive, and no part has bytes of two frames.
@@ -54,10 +54,12 @@ MAX_TRANSFER_HEADER = 1024
 
 _HELLO_START = struct.Struct(">4sH")
 _CHECKSUM = struct.Struct(">I")
-#: The header's checksum, the block's, the size of `Transfer`; and the offset that the first one covers from.
+#: The header's checksum, the block's, the size of `Transfer`; and the offset at which the part covered by the
+#: first one begins.
 _TRANSFER_START, _TRANSFER_CHECKED = struct.Struct(">IIH"), struct.Struct(">IH")
 
-#: The maximum size of a message before the handshake, in bytes: strangers may send it and occupy memory.
+#: The maximum size of a message before the handshake, in bytes: strangers may send such messages and occupy
+#: memory.
 HANDSHAKE_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
 _OBSERVER_LIMITS = HANDSHAKE_LIMITS | dict.fromkeys((CONTROL, COMPRESSED), 8 * MAX_TEXT)
 _HOST_LIMITS = HANDSHAKE_LIMITS | dict.fromkeys((CONTROL, COMPRESSED), 1 << 20)
@@ -78,7 +80,7 @@ def frame_decoder(on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
     """A decoder for one link, which accepts only handshakes until its limits are widened.
 
     The block of an oversized transfer is discarded as it arrives, then `on_oversize` is called with its
-    header and its size in bytes. It may raise WireError, as `FrameDecoder.feed` then does.
+    header and its size in bytes. `on_oversize` may raise WireError, which `FrameDecoder.feed` passes on.
     """
 
     def skipped(kind: int, length: int, head: bytes) -> None:
@@ -101,7 +103,9 @@ def part_limits(role: Role, max_block: int) -> dict[int, int]:
 
 
 def may_be_fragmented(frame: Buffer) -> bool:
-    """Whether a frame may be sent in parts: handshake messages may not, as the peer's support is unknown."""
+    """Whether a frame may be sent in parts: handshake messages may not, because it is unknown whether the
+    peer supports parts.
+    """
     return frame[HEADER_SIZE - 1] not in (HELLO, REFUSE, PART)
 
 
@@ -163,7 +167,7 @@ def transfer_header(start: Buffer, length: int) -> Transfer:
 def _encode_hello(hello: Hello) -> bytes:
     payload = _HELLO_START.pack(MAGIC, PROTOCOL) + _with_checksum(hello, _HELLO_START.size)
     if len(payload) > HANDSHAKE_LIMITS[HELLO] and any(known.detail for known in hello.coordinators):
-        # The reasons are repeated by each Terminated; here only the terminations themselves are needed.
+        # The reasons are repeated by each Terminated; only the terminations themselves are needed here.
         return _encode_hello(replace(hello, coordinators=[replace(k, detail="") for k in hello.coordinators]))
     return frame(HELLO, payload)
 
@@ -182,7 +186,7 @@ def _decode_hello(payload: Buffer) -> Hello | IncompatibleHello:
 def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
     """The transfer header, the offset of the block, and the block's checksum.
 
-    `length` is that of the whole payload; the beginning of it is sufficient.
+    `length` is the length of the whole payload; the beginning of it is sufficient.
     """
     if len(payload) < _TRANSFER_START.size:
         raise WireError("a transfer is too short to have a header")
@@ -200,7 +204,7 @@ def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
 
 
 def _with_checksum(message: Message, before: int) -> bytes:
-    """A message after its checksum; `before` are the bytes of the payload that precede the two."""
+    """A message after its checksum; `before` are the bytes of the payload before these two."""
     return _checked(_encode(message), before)
 
 

@@ -9,13 +9,13 @@ from msgspec import Meta, Struct
 from lfield.wire.fields import Count, Duration, Hash, Name, OptionalName, Ordinal, Text, Timestamp
 
 #: States of a host's copy of a coordinator; see `lfield/docs/mobility.md`. PARKED: stored for another program
-#: or deployment, and resumed when that is started.
+#: or deployment, and resumed when that program is started.
 CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED", "PARKED"]
 
-#: How a coordinator ended. 'superseded': an earlier start of it is alive, so this one was stopped.
+#: The ends of a coordinator. 'superseded': an earlier start of it is alive, so this start was stopped.
 Outcome = Literal["done", "died", "lost", "superseded"]
 
-#: The outcomes of a coordinator that has terminated where it ran; a lost one is only presumed dead.
+#: The outcomes of a coordinator that has terminated where it ran; a lost coordinator is only presumed dead.
 TERMINATED: tuple[Outcome, ...] = ("done", "died")
 
 #: The outcomes that terminate a coordinator; 'superseded' is about one start of it only.
@@ -32,11 +32,11 @@ SUPERSEDED = "superseded"
 
 
 class CoordinatorState(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What one host knows of one start of a coordinator, for handshakes and `lfield ps`.
+    """The record of one host about one start of a coordinator, for handshakes and `lfield ps`.
 
     `sequence` is the highest transfer number of this start that was used or received here. `where` is the
-    host to which the copy moved or waits to move (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on
-    (EXITED), and `receiver_memory` the state id of that host to which it was sent (PREPARED, IN DOUBT,
+    host to which the copy moved or waits to move (FROZEN, PREPARED, IN DOUBT, MOVED), or the host on which it
+    ended (EXITED), and `receiver_memory` the state id of the host to which it was sent (PREPARED, IN DOUBT,
     MOVED). `outcome` is set for EXITED, `detail` for EXITED, IN DOUBT and for an `unreadable` copy, which
     could not be resumed from its stored block.
     """
@@ -85,7 +85,7 @@ class TransferAccepted(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class TransferRefused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=2):
-    """The transfer was not injected and never will be.
+    """The transfer was not injected and will never be injected.
 
     `kind` names the L exception to throw at the portal call, or is NEVER_ARRIVED or SUPERSEDED.
     """
@@ -110,7 +110,8 @@ class TransferQuery(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 class Terminated(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=4):
     """A coordinator has terminated on `host`; repeated until every host has answered with TerminatedAck.
 
-    `is_of_this_run`: the sender knows that its home does not start it again in this run of the mission.
+    `is_of_this_run`: the sender knows that the home of the coordinator does not start it again in this run of
+    the mission.
     """
 
     agent: Name
@@ -141,7 +142,8 @@ class StopCoordinator(Struct, frozen=True, array_like=True, forbid_unknown_field
 class CheckpointId(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The progress of the newest block of an agent that a host has stored.
 
-    With `was_sent` it was sent under that number, and may have arrived; otherwise it arrived with it.
+    With `was_sent` the block was sent under that number, and may have arrived; otherwise it arrived with that
+    number.
     """
 
     generation: Ordinal
@@ -150,16 +152,16 @@ class CheckpointId(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
     @property
     def sort_key(self) -> tuple[int, int, bool]:
-        """Greater is newer."""
+        """The sort key of a checkpoint: greater is newer."""
         return self.generation, self.sequence, not self.was_sent
 
 
 class LeaseRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What one host knows of a coordinator under a lease.
+    """The record of one host about a coordinator under a lease.
 
-    `checkpoint` is the newest block stored there. `holder` is the host known to run it, '' for none; it held
-    that `generation` `age` seconds ago. `ended` is the newest known termination: no start up to that
-    generation may be recovered.
+    `checkpoint` is the newest block stored there. `holder` is the host known to run the coordinator, '' for
+    none; it held this `generation` `age` seconds ago. `ended` is the newest known termination: no start up to
+    that generation may be recovered.
     """
 
     agent: Name
@@ -171,9 +173,9 @@ class LeaseRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class Locate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=32):
-    """Query what a host knows of these coordinators, or of all without `agents`; with `leases`, for failover.
+    """Query a host's records of these coordinators, or of all without `agents`; with `leases`, for failover.
 
-    The only query between hosts about the location of a coordinator; answered by `Located`.
+    This is the only query between hosts about the location of a coordinator; answered by `Located`.
     """
 
     agents: Annotated[list[Name], Meta(max_length=MAX_LOCATED)] = []
@@ -181,7 +183,7 @@ class Locate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
 
 
 class Located(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=33):
-    """The answer: `agents` as in the question, and the records of every start that the host knows.
+    """The answer: `agents` as in the query, and the records of every start that the host knows.
 
     Lease records that depend on a pending write follow in separate answers, one for each coordinator, without
     `states`. A host also sends such an answer to correct a proposer (see `Propose`).
@@ -197,14 +199,15 @@ class Located(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
         return self.leases[0].agent if self.leases and not self.states else ""
 
 
-#: At most the calls that one coordinator waits for at one host.
+#: The maximum number of calls that one coordinator waits for at one host.
 Numbers = Annotated[list[Count], Meta(min_length=1, max_length=4096)]
 
 
 class WatchCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=67):
-    """That start of a coordinator waits on the sender for the first of its calls, some on the receiver.
+    """A start of a coordinator waits on the sender for the first of its calls, some of them on the receiver.
 
-    Repeated while it waits. A hint, as its answer is: the coordinator fetches a result by moving to its host.
+    The message is repeated while it waits. Message and answer are hints: the coordinator fetches a result by
+    moving to its host.
     """
 
     agent: Name
@@ -213,7 +216,9 @@ class WatchCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class CancelCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=69):
-    """That start of a coordinator cancels calls on the receiver, and goes there for their ends. A hint."""
+    """A start of a coordinator cancels calls on the receiver, and goes there for their outcomes. This is a
+    hint.
+    """
 
     agent: Name
     generation: Ordinal
@@ -221,7 +226,7 @@ class CancelCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class CallsEnded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=68):
-    """These calls of that start of a coordinator have ended on the sender, or are unknown there."""
+    """Calls of a start of a coordinator have ended on the sender, or are unknown there."""
 
     agent: Name
     generation: Ordinal

@@ -1,7 +1,7 @@
 """The numbered events of one host, which subscribers follow (`lfield events`, `logs`, `watch`).
 
 An event carries one of the structs below: in msgpack an array that begins with its kind, a short name.
-`lfield/docs/events.md` describes when each is emitted, and the bounds.
+`lfield/docs/events.md` describes the condition of each event, and the bounds.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lfield.wire.fields import (
 
 
 class AgentStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="started"):
-    """An agent runs here. `kept`: it was resumed from the journal of this host."""
+    """An agent runs on this host. `kept`: the agent was resumed from the journal of the host."""
 
     agent: Name
     generation: Ordinal
@@ -39,7 +39,7 @@ class AgentStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class AgentFinished(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="finished"):
-    """An agent has ended here, a resource only by dying; `detail` is why, with the lines it came from."""
+    """An agent has ended here, a resource only by dying; `detail` is the reason, with its source lines."""
 
     agent: Name
     generation: Ordinal
@@ -48,7 +48,7 @@ class AgentFinished(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class MigrationInDoubt(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="doubted"):
-    """It is unknown whether a coordinator that was sent `to` another host arrived there."""
+    """A coordinator was sent `to` another host, and it is unknown whether it arrived there."""
 
     agent: Name
     generation: Ordinal
@@ -57,7 +57,7 @@ class MigrationInDoubt(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class CoordinatorRecovered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="recovered"):
-    """A coordinator was recovered here after the loss of its host, as start `generation`."""
+    """A coordinator was recovered on this host after the loss of its holder, as start `generation`."""
 
     agent: Name
     generation: Ordinal
@@ -66,7 +66,7 @@ class CoordinatorRecovered(Struct, frozen=True, array_like=True, forbid_unknown_
 class CoordinatorSuperseded(
     Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="superseded"
 ):
-    """A coordinator was stopped here because another start of it is alive."""
+    """A coordinator was stopped on this host because another start of it is alive."""
 
     agent: Name
     generation: Ordinal
@@ -74,7 +74,7 @@ class CoordinatorSuperseded(
 
 
 class Printed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="printed"):
-    """Output of a program: of `print` as a line of the `log`, of `write` as text (`out`)."""
+    """Output of a program: output of `print` is a line of the `log`, output of `write` is text (`out`)."""
 
     agent: Name
     text: Text
@@ -86,8 +86,8 @@ class Printed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
 
 
 class MigrationStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="left"):
-    """A coordinator was sent `to` another host, where it calls a `portal` of a `resource` ('' where it
-    reserves it); its block has `size` bytes."""
+    """A coordinator was sent `to` another host, where it calls a `portal` of a `resource` ('' to reserve it);
+    the block has `size` bytes."""
 
     agent: Name
     generation: Ordinal
@@ -99,7 +99,7 @@ class MigrationStarted(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class MigrationArrived(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="came"):
-    """It came from the host `of` and runs here; its block has `size` bytes."""
+    """A coordinator arrived from the host `of` and runs on this host; the block has `size` bytes."""
 
     agent: Name
     generation: Ordinal
@@ -109,8 +109,8 @@ class MigrationArrived(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class MigrationConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="hopped"):
-    """The sender knows that it arrived, `seconds` after it had left, by the first of: a
-    confirmation, its return, or its end. None if it left in an earlier incarnation of this host."""
+    """A coordinator's arrival is confirmed, `seconds` after its departure, by the first of: a confirmation,
+    its return, its end. `seconds` is None if it left in an earlier incarnation of this host."""
 
     agent: Name
     generation: Ordinal
@@ -120,7 +120,7 @@ class MigrationConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fi
 
 
 class MigrationFailed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stayed"):
-    """It did not arrive, and continues here with that `exception`, '' for none."""
+    """A coordinator did not arrive, and continues on this host with an `exception`, '' for none."""
 
     agent: Name
     generation: Ordinal
@@ -134,8 +134,7 @@ class MigrationFailed(Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class PortalCallStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="began"):
-    """A portal of a resource of this host began for a coordinator; `call` counts in this incarnation of the
-    host."""
+    """A portal of a resource of this host started for a coordinator; `call` counts in this incarnation."""
 
     call: Ordinal
     agent: Name
@@ -144,7 +143,7 @@ class PortalCallStarted(Struct, frozen=True, array_like=True, forbid_unknown_fie
 
 
 class PortalCallEnded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="ended"):
-    """A portal ended after so many `seconds`; 'lost': its resource died. `detail` is the exception."""
+    """A portal ended after `seconds` seconds; 'lost': its resource died. `detail` is the exception."""
 
     call: Ordinal
     agent: Name
@@ -166,7 +165,7 @@ class DeviceCallStarted(Struct, frozen=True, array_like=True, forbid_unknown_fie
 
 
 class DeviceCallEnded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="answered"):
-    """The device has answered after so many `seconds`; `error` is '' after success."""
+    """A device has answered after `seconds` seconds; `error` is '' after success."""
 
     call: Ordinal
     agent: Name
@@ -177,7 +176,7 @@ class DeviceCallEnded(Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class EventsDropped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="skipped"):
-    """Rate limit: so many events of a kind were dropped since the last report."""
+    """The rate limit has dropped a number of events of a kind since the last report."""
 
     skipped: Label
     count: Count
@@ -187,7 +186,7 @@ class EventsDropped(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class DeviceLatched(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="latched"):
-    """A device, AGENT.FIELD, goes into its safe state, for that reason."""
+    """A device, AGENT.FIELD, goes into its safe state, for a reason."""
 
     device: Label
     state: Label
@@ -195,7 +194,7 @@ class DeviceLatched(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class SafeStateConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="confirmed"):
-    """It is in its safe state; `reason` as before."""
+    """A device is in its safe state; `reason` as in `DeviceLatched`."""
 
     device: Label
     state: Label
@@ -225,36 +224,36 @@ class OfferPublished(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class OfferWithdrawn(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="withdrawn"):
-    """An agent of the team can no longer be called, as far as this host knows, for that reason."""
+    """An agent of the team can no longer be called, as far as this host knows, for a reason."""
 
     agent: Name
     reason: Text
 
 
 class LinkUp(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="linked"):
-    """There is a link with another host; `restarted`: it has another incarnation than before."""
+    """A link with another host opened; `restarted`: the incarnation of that host has changed."""
 
     peer: Name
     restarted: bool = False
 
 
 class LinkDown(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="unlinked"):
-    """A link with another host is gone; `lost`: this host still needed it."""
+    """A link with another host closed; `lost`: this host still needed the link."""
 
     peer: Name
     lost: bool = True
 
 
 class LinkRefused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="refused"):
-    """No link with another host can be made, for that reason; '' when that is over."""
+    """No link with another host can be made, for a reason; '' when a link is possible again."""
 
     peer: Name
     reason: Text
 
 
 class StartDelayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="waits"):
-    """Coordinators of this host are not started yet: they wait for those `hosts`, or are `held` for a reason
-    until an operator's command. Commas separate names; no `agents`: none waits."""
+    """Coordinators of this host are not started yet: they wait for `hosts`, or are `held` for a reason until
+    an operator's command. Commas separate names; `agents` is empty when none waits."""
 
     agents: Text
     hosts: Text
@@ -276,7 +275,7 @@ class EmergencyStopChanged(Struct, frozen=True, array_like=True, forbid_unknown_
 
 
 class PauseChanged(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="paused"):
-    """An operator, or a vote of this robot, has paused the mission here or has `lifted` that pause."""
+    """An operator, or a vote of this robot, has paused the mission here or has `lifted` the pause."""
 
     by: Text
     lifted: bool = False
@@ -309,8 +308,8 @@ class DeviceTelemetry(Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class AgentActivity(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="standing"):
-    """The state of an agent; its line in the program, 0 for none; and what it waits for:
-    RESOURCE.PORTAL, AGENT.FIELD.INSTRUCTION, or ''."""
+    """The state of an agent; its line in the program, 0 for none; and what it waits for: RESOURCE.PORTAL,
+    AGENT.FIELD.INSTRUCTION, or ''."""
 
     agent: Name
     state: Label
@@ -362,7 +361,7 @@ StateEvent = (
     | HostStopping
     | LineLogged
 )
-#: Sampled events: only the newest counts, for each device, agent and link.
+#: Sampled events: only the newest one counts, for each device, agent and link.
 TelemetryEvent = DeviceTelemetry | AgentActivity | LinkTelemetry
 
 #: The kinds of events by their name in JSON.
@@ -375,10 +374,10 @@ TELEMETRY = frozenset(str(kind.__struct_config__.tag) for kind in get_args(Telem
 class Event(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """An event on a host: `at` Unix time by its own clock, `up` seconds by its monotonic clock.
 
-    `number` counts the states of this incarnation of the host from 1, without a gap; of telemetry it is the
-    number of the last state before it. `cause` is the number of the earlier event of the same incarnation
-    that led to this one, 0 if unknown; that of a `MigrationArrived` is in another host's stream. `stamp`
-    orders the events of all hosts: `ahead` milliseconds more than `at`, with the counter `tick`.
+    `number` counts the states of this incarnation of the host from 1, without a gap; of telemetry, it is the
+    number of the last state before. `cause` is the number of the earlier event of the same incarnation that
+    led to this one, 0 if unknown; that of a `MigrationArrived` is in another host's stream. `stamp` orders
+    the events of all hosts: `ahead` milliseconds more than `at`, with the counter `tick`.
     """
 
     number: Ordinal
@@ -391,10 +390,10 @@ class Event(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     @property
     def stamp(self) -> int:
-        """Its timestamp."""
+        """The timestamp of the event."""
         return timestamp_of(max(0, int(self.at * 1000.0) + self.ahead), self.tick)
 
     @property
     def kind(self) -> str:
-        """The name of its kind: 'left'."""
+        """The name of the kind of the event: 'left'."""
         return str(self.what.__struct_config__.tag)

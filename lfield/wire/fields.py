@@ -11,7 +11,7 @@ from lfield.hybrid_clock import MAX_TIMESTAMP
 #: Longest name of an agent or host, in characters.
 MAX_NAME = 128
 
-#: Longest sentence or traceback in a message, in characters; `truncate` shortens to it.
+#: Longest sentence or traceback in a message, in characters; `truncate` shortens to this length.
 MAX_TEXT = 2048
 
 #: Longest line of the operator's input, in characters.
@@ -26,7 +26,7 @@ MAX_MEMBERS = 64
 #: Bytes of a program or deployment hash.
 HASH_SIZE = 32
 
-#: The maximum of an age or another duration, in seconds; `bounded_duration` limits to it.
+#: The maximum of an age or another duration, in seconds; `bounded_duration` limits to this value.
 MAX_DURATION = 1e9
 
 #: The most numbers of a telemetry array in a status.
@@ -66,12 +66,13 @@ ValueSource = Literal["stated", "told", "measured"]
 Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_length=MAX_NUMBERS)]
 
 
-#: The number of hexadecimal digits shown of a bundle's digest, the same everywhere so that users can compare.
+#: The number of hexadecimal digits shown of a bundle's digest, the same everywhere, so that users can compare
+#: digests.
 DIGITS = 16
 
 
 def short_digest(digest: bytes) -> str:
-    """The digest of a bundle as every command and log line shows it; '' for none."""
+    """The digest of a bundle in the form of every command and log line; '' for none."""
     return digest.hex()[:DIGITS]
 
 
@@ -81,5 +82,5 @@ def truncate(text: str, longest: int = MAX_TEXT) -> str:
 
 
 def bounded_duration(seconds: float) -> float:
-    """A duration, limited to what a message can carry."""
+    """A duration, limited to the maximum in a message."""
     return min(max(0.0, seconds), MAX_DURATION)

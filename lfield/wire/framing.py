@@ -40,11 +40,11 @@ def frame(kind: int, payload: Buffer) -> bytes:
 
 
 def size_of(start: Buffer, longest: int) -> int:
-    """The size in bytes of the first frame of a stream, header included; of the header while that is
-    incomplete.
+    """The size in bytes of the first frame of a stream, header included; the size of the header while the
+    header is incomplete.
 
-    For a reader that must not read beyond one frame. Of a payload over `longest` it returns no more than
-    that.
+    This function is for a reader that must not read beyond one frame. For a payload over `longest` it returns
+    no more than `longest`.
     """
     if len(start) < HEADER_SIZE:
         return HEADER_SIZE
@@ -77,7 +77,7 @@ class FrameDecoder:
         self._body: bytearray | None = None  # the payload (or the kept head of one) being collected
         self._filled = 0
         self._missing = 0  # payload bytes still to come
-        #: How many bytes of oversize frames were thrown away since `reset_skipped`.
+        #: The number of discarded bytes of oversize frames since `reset_skipped`.
         self.skipped = 0
 
     def set_limits(self, limits: Mapping[int, int]) -> None:
@@ -90,13 +90,13 @@ class FrameDecoder:
 
     @property
     def is_mid_frame(self) -> bool:
-        """Whether the stream is inside a frame: if it ends now, data is lost."""
+        """Whether the stream is inside a frame; if it ended now, data would be lost."""
         return self._body is not None or bool(self._start)
 
     def decode_single_frame(self, data: Buffer) -> tuple[int, memoryview] | None:
-        """The kind and payload if the next bytes are exactly one frame; else None.
+        """The kind and payload if the next bytes are exactly one frame; otherwise None.
 
-        This is the usual case, and avoids copying.
+        One frame is the usual case, which needs no copy.
         """
         size = len(data) - HEADER_SIZE
         if size < 0 or self._body is not None or self._start:
@@ -107,8 +107,9 @@ class FrameDecoder:
         return kind, memoryview(data)[HEADER_SIZE:]
 
     def next_frame_length(self, data: Buffer) -> int:
-        """How many of the next bytes to feed to complete at most one frame: all if they do not complete
-        one."""
+        """The number of the next bytes to feed to complete at most one frame: all if they do not complete
+        one.
+        """
         if self._body is not None:
             return min(self._missing, len(data))
         had = len(self._start)
@@ -121,8 +122,8 @@ class FrameDecoder:
         """Process the next bytes and yield each completed frame, as kind and payload.
 
         A payload is a view: into `data` if the frame is contiguous there, else into separate memory. Exhaust
-        the iterator before the next call. Raises WireError where the stream violates the limits; the frames
-        before that position have been yielded by then.
+        the iterator before the next call. Raises WireError if the stream violates the limits, after the
+        frames before that position have been yielded.
         """
         view = memoryview(data)
         position, end = 0, len(view)

@@ -2,7 +2,7 @@
 
 Every message is a frozen msgspec struct, encoded in msgpack as an array whose first item is a small number,
 the tag. Decoding is strict: wrong types, strings or lists beyond their bounds, surplus items, and unknown
-tags are refused. Three messages are not in the `Control` union because they have their own frame kind:
+tags are refused. Three messages are not in the `Control` union, because they have their own frame kinds:
 `Hello` and `HandshakeRefused`, whose frame format never changes between versions, and `Transfer`, which is
 followed by the raw bytes of a block. `codec` encodes and decodes all of them.
 """
@@ -70,11 +70,11 @@ from lfield.wire.reservation_messages import ReservationMessage
 from lfield.wire.service_messages import ServiceMessage
 from lfield.wire.subscription_messages import SubscriptionMessage
 
-#: The version of everything in this package. Hosts of different versions do not communicate.
+#: The version of all messages in this package. Hosts of different versions do not communicate.
 PROTOCOL = 17
 
 #: The role of a peer: a member of the team, an observer (`lfield ps`), or a member that keeps the connection
-#: as a standby beside its link. A Hello of a host later makes a standby connection the link.
+#: as a standby in addition to its link. A Hello of a host later makes a standby connection the link.
 Role = Literal["host", "observer", "standby"]
 
 
@@ -83,17 +83,18 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     `incarnation` is a random 63-bit number drawn at process start: a restarted host has another one.
     `journal_id` is the id of its journal, which survives restarts; 0 for a host without one. `program`,
-    `deployment`, `registry` and `access` are 32-byte hashes of what must be equal on all hosts of a team; an
-    observer (`lfield ps`) leaves them empty, a program that names no capability has no registry, and a
-    mission without an access file no rules. `devices` is the kind of the team's devices, '' if it has none.
-    `max_block` is the largest block that this host accepts, in bytes. `recovery` describes who decides that a
-    coordinator is lost; '' where none is recovered. `origin` describes the origin of the team's map frame on
-    the Earth; '' for none. `reservation` is how long a reservation lasts without renewal, in seconds. `time`
-    is the time that the sender knows without the others, in seconds since 1970 UTC, and `revoked` the number
-    of its revocation list; both 0 without keys. `bundle` is the digest of the running bundle, of which those
-    hashes are a part; b"" for a mission from files. `built` is then the digest of the bundle made of those
-    files: it is shown to operators and not compared. `epochs` are the numbers that stop and pause orders must
-    name (`orders`). `stamp` is the timestamp of the sender, `run` the run id of its recording.
+    `deployment`, `registry` and `access` are 32-byte hashes of the data that must be equal on all hosts of a
+    team; an observer (`lfield ps`) leaves them empty, a program that names no capability has no registry, and
+    a mission without an access file no rules. `devices` is the kind of the team's devices, '' if it has none.
+    `max_block` is the largest block that this host accepts, in bytes. `recovery` describes the hosts that
+    decide about the loss of a coordinator; '' if no coordinator is recovered. `origin` describes the origin
+    of the team's map frame on the Earth; '' for none. `reservation` is the duration of a reservation without
+    renewal, in seconds. `time` is the time that the sender knows without other hosts, in seconds since 1970
+    UTC, and `revoked` the number of its revocation list; both 0 without keys. `bundle` is the digest of the
+    running bundle, of which those hashes are a part; b"" for a mission from files. `built` is then the digest
+    of the bundle made of those files: `built` is shown to operators and not compared. `epochs` are the
+    numbers that stop and pause orders must name (`orders`). `stamp` is the timestamp of the sender, `run` the
+    run id of its recording.
     """
 
     role: Role
@@ -120,7 +121,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     @property
     def summary(self) -> Hello:
-        """The part for observers: nothing of the mission, which requires a right."""
+        """The part for observers, without data of the mission, which require a permission."""
         return Hello(
             self.role,
             self.host,
@@ -153,7 +154,7 @@ TOO_MANY_OBSERVERS = "observers are linked to this host"
 
 
 class HandshakeRefused(Struct, frozen=True):
-    """Sent instead of a Hello that is not acceptable; then the link is closed."""
+    """The answer to a Hello that is not acceptable; then the link is closed."""
 
     reason: str
 
@@ -163,7 +164,9 @@ QUESTION = 1 << 31
 
 
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):
-    """Answered by a Pong with the same token: the peer's process is alive. Heartbeats carry a timestamp."""
+    """A heartbeat, answered by a Pong with the same token: the peer's process is alive. Heartbeats carry a
+    timestamp.
+    """
 
     token: Count
     stamp: Timestamp = 0
@@ -184,8 +187,8 @@ class WholeTransferRequest(Struct, frozen=True, array_like=True, forbid_unknown_
 class AttributeUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The value of an attribute, `age` seconds old when it was sent.
 
-    `attribute` is the index among the attributes of the registry, by name. `kept`: the sender updates it, so
-    it ages only while the sender is unreachable. A value that was not measured does not age.
+    `attribute` is the index among the attributes of the registry, by name. `kept`: the sender updates the
+    value, so it ages only while the sender is unreachable. A value that was not measured does not age.
     """
 
     attribute: Index
@@ -198,9 +201,9 @@ class AttributeUpdate(Struct, frozen=True, array_like=True, forbid_unknown_field
 class AgentUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The changes of one agent; `agent` is its index in the deployment.
 
-    `trouble` is why it cannot be called, '' if it can, and `lasting` for how many seconds already, if known.
-    `unknown` are live attributes without a value, each with the reason. `holder` is the coordinator that has
-    reserved it, '' for none, and `held` for how many seconds already.
+    `trouble` is the reason why it cannot be called, '' if it can, and `lasting` the seconds for which this
+    has been so, if known. `unknown` are live attributes without a value, each with the reason. `holder` is
+    the coordinator that has reserved the agent, '' for none, and `held` the seconds since the reservation.
     """
 
     agent: Index
@@ -213,7 +216,7 @@ class AgentUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class DirectoryUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=12):
-    """The agents of a host: changes since its report number `since`, 0 for everything.
+    """The agents of a host: changes since its report number `since`, 0 for all agents.
 
     `incarnation` is the sender's incarnation. The `sequence` of reports increases within an incarnation.
     """
@@ -252,7 +255,7 @@ class RelayedMessage(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class Backpressure(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
-    """Whether the sender can store arriving coordinators: '' if so, else why not."""
+    """Whether the sender can store arriving coordinators: '' if so, otherwise the reason."""
 
     reason: Text
 
@@ -268,7 +271,7 @@ class GroundReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class RevocationUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=36):
-    """A certificate revocation list signed by the CA, in DER. A receiver with an older one adopts it."""
+    """A certificate revocation list signed by the CA, in DER. A receiver with an older list adopts it."""
 
     list: Annotated[bytes, Meta(max_length=MAX_LIST)]
 

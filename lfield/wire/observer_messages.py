@@ -46,11 +46,11 @@ class AgentStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A device of a host, with its last telemetry by quantity, however old.
+    """A device of a host, with its last telemetry by quantity, of any age.
 
-    `silent` is the age of the telemetry, None if there never was any. `latched` is why it is held in its safe
-    state, '' when it is in use; `moving` describes its movement there, '' at rest; until its safe state is
-    confirmed it says that this is pending.
+    `silent` is the age of the telemetry, None without any. `latched` is the reason why the device is held in
+    its safe state, '' when it is in use; `moving` describes its movement in this state, '' at rest; before
+    the safe state is confirmed, `moving` says that the confirmation is pending.
     """
 
     name: Text
@@ -61,14 +61,14 @@ class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Another host: for how long there has been no link to it, None while there is one.
+    """Another host: the time without a link to it, None while there is one.
 
-    Of a link the smoothed round-trip time in seconds, the share of segments lost in the last minute, and the
-    bytes sent (retransmissions included) and received since it opened, with TLS overhead and without headers
-    of TCP and IP; None for values that are not available. `kinds` are the bytes of the messages of both
-    directions by kind of traffic (`lfield.net.coding.traffic_kinds`), before TLS. `path` and `standby` are
-    the addresses of the other host in the network of the link and in that of its standby connection ('' for
-    none); both are '' with one network.
+    For a link, the smoothed round-trip time in seconds, the share of segments lost in the last minute, and
+    the bytes sent (retransmissions included) and received since the link opened, with TLS overhead and
+    without headers of TCP and IP; None for values that are not available. `kinds` are the bytes of the
+    messages of both directions by kind of traffic (`lfield.net.coding.traffic_kinds`), before TLS. `path` and
+    `standby` are the addresses of the other host in the network of the link and in the network of its standby
+    connection ('' for none); both are '' if there is one network.
     """
 
     host: Name
@@ -91,10 +91,10 @@ class AttributeReading(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class DirectoryEntry(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What a host's directory says of an agent of the team.
+    """The entry of an agent of the team in a host's directory.
 
-    `refusal` is why it cannot be called, '' if it can. A measured attribute is among `facts`, or `unknown`
-    with the reason.
+    `refusal` is the reason why the agent cannot be called, '' if it can. A measured attribute is among
+    `facts`, or `unknown` with the reason.
     """
 
     agent: Name
@@ -106,7 +106,7 @@ class DirectoryEntry(Struct, frozen=True, array_like=True, forbid_unknown_fields
 class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A coordinator in a journal that belongs to another program or deployment, with the digest of both.
 
-    With `state` RUN it is here; with another state it left, or may have left, for `where`.
+    With `state` RUN the coordinator is here; with another state it left, or may have left, for `where`.
     """
 
     agent: Name
@@ -128,8 +128,9 @@ class PendingCallStatus(Struct, frozen=True, array_like=True, forbid_unknown_fie
 
 
 class ReservedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A resource that a coordinator has reserved, for how many seconds already; `left` is the remaining time
-    of its lease if it is not renewed."""
+    """A resource that a coordinator has reserved, and the seconds since then; `left` is the remaining time of
+    the lease if it is not renewed.
+    """
 
     resource: Name
     agent: Name
@@ -141,7 +142,7 @@ class ReservedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields
 class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The journal of a host: its commits in the last minute, and the stored coordinators.
 
-    `trouble` is why no new coordinator should be admitted, '' for no reason.
+    `trouble` is the reason why no new coordinator should be admitted, '' for none.
     """
 
     commits: Count
@@ -158,8 +159,9 @@ class BundleStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class UnlinkableHost(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Another host to which no link can be made, and why; `bundle` is the digest of its bundle, b"" if
-    unknown."""
+    """Another host to which no link can be made, and the reason; `bundle` is the digest of its bundle, b"" if
+    unknown.
+    """
 
     host: Name
     reason: Text
@@ -167,11 +169,11 @@ class UnlinkableHost(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The coordinators of a host that have not started yet, and what they wait for.
+    """The coordinators of a host that have not started yet, and the conditions of their start.
 
-    `hosts` are those with resources that are not linked, or whose vehicles do not report whether they are on
-    the ground; `without` are those that the start does not wait for. `held` is why the start waits for an
-    operator's command, '' if it does not.
+    `hosts` are the hosts with resources that are not linked, or whose vehicles do not report whether they are
+    on the ground; `without` are the hosts that the start does not wait for. `held` is the reason why the
+    start waits for an operator's command, '' if it does not.
     """
 
     agents: Annotated[list[Name], Meta(max_length=4096)]
@@ -181,22 +183,22 @@ class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The snapshot of a host that has been `up` for so many seconds: its agents, devices and links.
+    """The snapshot of a host that has been `up` for that number of seconds: its agents, devices and links.
 
-    `coordinators` are all that it has records of, `directory` is what it knows of the agents of the team.
-    `late` is the longest delay of its heartbeats to its guards in the last minute, in seconds, and `silence`
-    the permitted silence; both None without devices. `journal` is None for a host without one. `paused`: no
-    agent runs here until the mission is resumed. `lease` is the remaining time in seconds for which
-    coordinators may act, None if they need no lease. `pending_calls` are the calls started here that have not
-    been fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None for a
-    mission from files. `stopped` is why an emergency stop locks its devices, '' for none, and `persist_error`
-    describes security state that it could not store and will lose at its end. `refused` are the hosts to
-    which no link can be made, `start` is None if no coordinator of this host waits to start. `epochs` are the
-    numbers that orders must name (see `orders`). `ballot` is the ballot about an activation that holds the
-    mission like a pause, b"" for none. `starting`: its devices are not open yet, and no resource has started.
-    `observers` are the bytes exchanged with observers, by kind of traffic. `reads` are the agents that wait
-    for a line of input, in the order in which they get one. `startable` are the coordinators of this host
-    that others may start, and that do not run.
+    `coordinators` are all coordinators of which it has records, `directory` is its directory of the agents of
+    the team. `late` is the longest delay of its heartbeats to its guards in the last minute, in seconds, and
+    `silence` the permitted silence; both None without devices. `journal` is None for a host without one.
+    `paused`: no agent runs here until the mission is resumed. `lease` is the remaining time in seconds for
+    which coordinators may act, None if they need no lease. `pending_calls` are the calls started here that
+    have not been fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None for
+    a mission from files. `stopped` is the reason why an emergency stop locks its devices, '' for none, and
+    `persist_error` describes security state that the host could not store and will lose at its end. `refused`
+    are the hosts to which no link can be made, `start` is None if no coordinator of this host waits to start.
+    `epochs` are the numbers that orders must name (see `orders`). `ballot` is the ballot about an activation
+    that holds the mission like a pause, b"" for none. `starting`: its devices are not open yet, and no
+    resource has started. `observers` are the bytes exchanged with observers, by kind of traffic. `reads` are
+    the agents that wait for a line of input, in the order in which they get lines. `startable` are the
+    coordinators of this host that others may start, and that do not run.
     """
 
     host: Name
@@ -233,8 +235,8 @@ class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     """From an observer: bring every device of this host into its safe state and lock `release()`.
 
     With `lift` the lock is removed; the devices stay latched until the program releases them. `id` and
-    `epoch` as in `orders`: an order with the id of an executed one is only confirmed again, and one that
-    names another epoch than the host has is answered by an `EpochChallenge`.
+    `epoch` as in `orders`: an order with the id of an executed one is only confirmed again, and an order that
+    names an epoch other than that of the host is answered by an `EpochChallenge`.
     """
 
     id: OrderId
@@ -248,11 +250,12 @@ class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class EmergencyStopResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=11):
-    """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not.
+    """The answer: every device of the host, with '' when its safe state is confirmed, otherwise the reason
+    why it is not.
 
-    `trouble` is why the host may not remember the order after a restart, '' if it will (also for a host
-    without a journal, which never does), or that a later order has replaced it. `id` is that of the order,
-    and `epochs` are the present ones of the host.
+    `trouble` is the reason why the order may be lost after a restart of the host, '' if it is stored (also
+    for a host without a journal, which never stores it), or states that a later order has replaced it. `id`
+    is the id of the order, and `epochs` are the present epochs of the host.
     """
 
     devices: dict[str, Text]
@@ -276,8 +279,8 @@ class ForgetResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields
 class RecoverRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=17):
     """From an observer: the holder of a coordinator is permanently lost; recover it here.
 
-    (generation, sequence) is the copy of this host that the operator confirmed, `above` the highest start
-    that any host knows.
+    (generation, sequence) identifies the copy of this host that the operator confirmed, `above` is the
+    highest start that any host knows.
     """
 
     agent: Name
@@ -287,7 +290,7 @@ class RecoverRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class RecoverResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=18):
-    """The answer: the new start, once it is durable; 0 for a refusal, with the reason."""
+    """The answer: the new start, when it is durable; 0 for a refusal, with the reason."""
 
     generation: Ordinal
     reason: Text = ""
@@ -296,7 +299,7 @@ class RecoverResponse(Struct, frozen=True, array_like=True, forbid_unknown_field
 class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=19):
     """From an observer: suspend all agents and bring every device into its safe state; with `lift` resume.
 
-    Answered by an EmergencyStopResult once it is stored. `id` and `epoch` as in EmergencyStop.
+    It is answered by an EmergencyStopResult when it is stored. `id` and `epoch` as in EmergencyStop.
     """
 
     id: OrderId
@@ -310,9 +313,10 @@ class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
 
 class BallotHold(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=65):
     """From the service of this robot: suspend all agents and bring every device into its safe state until the
-    result of the ballot `id` is known; with `lift` it is, which ends no hold by another ballot.
+    result of the ballot `id` is known.
 
-    Independent of a Pause: neither ends the other. Answered by an EmergencyStopResult.
+    With `lift` the result is known, which ends only the hold by this ballot. The hold is independent of a
+    Pause: neither ends the other. It is answered by an EmergencyStopResult.
     """
 
     id: OrderId
@@ -320,8 +324,10 @@ class BallotHold(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class OrderChallenge(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=46):
-    """The answer to an EmergencyStop or a Pause that names another epoch than the host has: it may be old,
-    and is not executed. To confirm it, the sender repeats it with the present epoch of its kind."""
+    """The answer to an EmergencyStop or a Pause that names an epoch other than that of the host: the order
+    may be old, and is not executed. To confirm it, the sender repeats the order with the present epoch of its
+    kind.
+    """
 
     id: OrderId
     epochs: Epochs
@@ -334,8 +340,10 @@ class StartRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=38):
-    """The answer: the coordinators that were `started` by the request, and what others of this host still
-    wait for, None if none waits. `trouble` is why nothing was done, '' if it was."""
+    """The answer: the coordinators that were `started` by the request, and the conditions that others of this
+    host still wait for, None if none waits. `trouble` is the reason why the request was not executed, '' if
+    it was.
+    """
 
     started: Annotated[list[Name], Meta(max_length=4096)]
     waiting: StartStatus | None = None
@@ -343,14 +351,14 @@ class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class InputLine(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=70):
-    """From an observer: a line of input for this agent of this host, while it waits for one."""
+    """From an observer: a line of input for an agent of this host, while it waits for a line."""
 
     agent: Name
     text: Annotated[str, Meta(max_length=MAX_INPUT)]
 
 
 class InputResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=71):
-    """The answer: why no agent has got the line, '' if one has."""
+    """The answer: the reason why no agent has got the line, '' if one has."""
 
     trouble: Text = ""
 

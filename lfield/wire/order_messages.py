@@ -27,13 +27,13 @@ MAX_DATAGRAM = 1200
 MAX_REASON, MAX_SENTENCE = 160, 200
 #: The size of an epoch, of an order's id, and of the shortened SHA-256 of a certificate, in bytes.
 EPOCH_SIZE, ID_SIZE, DIGEST_SIZE = 8, 16, 16
-#: Stands for a number that the operator's computer does not know. No host draws it.
+#: The value for a number that the operator's computer does not know. No host draws this value.
 UNKNOWN_EPOCH = bytes(EPOCH_SIZE)
 #: The most hosts in one datagram.
 MAX_HOSTS = 64
 
 OrderKind = Literal["stop", "lift", "pause", "resume"]
-#: The orders that make devices safe. The other ones lift these.
+#: The orders that make devices safe. The other orders lift these.
 HOLDS: Collection[OrderKind] = ("stop", "pause")
 
 Epoch = Annotated[bytes, Meta(min_length=EPOCH_SIZE, max_length=EPOCH_SIZE)]
@@ -49,8 +49,9 @@ Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE)]
 
 class Epochs(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The nonces of a host that an order must name. A stop or pause names `hold`, which changes with each
-    incarnation of the host and with each executed lift. An order that lifts one names `end`, which changes
-    with each incarnation, each executed stop or pause and each lock-out of a device."""
+    incarnation of the host and with each executed lift. An order that lifts such an order names `end`, which
+    changes with each incarnation, each executed stop or pause and each lock-out of a device.
+    """
 
     hold: Epoch = UNKNOWN_EPOCH
     end: Epoch = UNKNOWN_EPOCH
@@ -61,14 +62,16 @@ class Epochs(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
 
 class OrderTarget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A host that an order is for, and the number of its epochs if it is known, else UNKNOWN."""
+    """A recipient of an order, and the number of its epochs if it is known, otherwise UNKNOWN."""
 
     host: Name
     epoch: Epoch
 
 
 class Order(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What an operator signs. The same `id` may be signed again with other epochs: it is executed once."""
+    """The part that an operator signs. The same `id` may be signed again with other epochs: the order is
+    executed once.
+    """
 
     kind: OrderKind
     id: OrderId
@@ -76,18 +79,18 @@ class Order(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     hosts: Annotated[tuple[OrderTarget, ...], Meta(min_length=1, max_length=MAX_HOSTS)]
 
     def epoch_for(self, host: str) -> bytes | None:
-        """The number named for a host; None if the order is not for that host."""
+        """The number named for a host; None if the order is not for this host."""
         return next((one.epoch for one in self.hosts if one.host == host), None)
 
 
 class SignedOrder(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=1):
     """From an operator: the bytes of an `Order` with the signature, and the digest of the certificate.
 
-    `certificate` is DER, b"" if the host should have it. The rest is not signed, and only a request: `relay`
-    lists hosts (by their index in the order) that the sender does not reach itself, with `unknown` the host
-    adds its certificate to answers, and `attempt` counts the datagrams to a host: answers repeat it with the
-    processing time of the host, so that the sender can measure the round trip (as with LSR and DLSR of
-    RFC 3550, section 6.4.1).
+    `certificate` is DER, b"" if the host should have it. The other fields are not signed, and are only a
+    request: `relay` lists hosts (by their index in the order) that the sender cannot reach; with `unknown`
+    the host adds its certificate to answers, and `attempt` counts the datagrams to a host: answers repeat it
+    with the processing time of the host, so that the sender can measure the round trip (as with LSR and DLSR
+    of RFC 3550, section 6.4.1).
     """
 
     order: Annotated[bytes, Meta(max_length=MAX_DATAGRAM)]
@@ -110,8 +113,10 @@ class SignedAnswer(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class CertificateRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=3):
-    """From a host without a certificate of this digest: repeat the order with it, and with these epochs. Not
-    signed, since it answers any sender, and never larger than the order (no amplification)."""
+    """From a host without a certificate of this digest: repeat the order with the certificate, and with these
+    epochs. The request is not signed, since it answers any sender, and is never larger than the order (no
+    amplification).
+    """
 
     host: Name
     signer: Digest
@@ -132,8 +137,9 @@ class OrderReceived(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class EpochChallenge(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=2):
-    """The order names another epoch than the host has, so it may be a replay: to confirm it, the operator
-    signs it again with these. On links this is `OrderChallenge`."""
+    """The order names an epoch other than that of the host, so it may be a replay: to confirm it, the
+    operator signs it again with the epochs of the challenge. On links the message is `OrderChallenge`.
+    """
 
     id: OrderId
     epochs: Epochs
@@ -142,8 +148,10 @@ class EpochChallenge(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class OrderConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=3):
-    """The order is executed. `safe` are devices whose safe state is confirmed, `unsafe` the others, each with
-    the reason; `more` is the number of devices that did not fit. `trouble` as in `EmergencyStopResult`."""
+    """The order is executed. `safe` are devices whose safe state is confirmed, `unsafe` the other devices,
+    each with the reason; `more` is the number of devices that did not fit. `trouble` as in
+    `EmergencyStopResult`.
+    """
 
     id: OrderId
     epochs: Epochs
@@ -156,7 +164,7 @@ class OrderConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class OrderDenied(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=4):
-    """The order is not executed: its signer lacks the right, or the certificate is not valid."""
+    """The order is not executed: its signer does not have the permission, or the certificate is not valid."""
 
     id: OrderId
     why: Sentence
@@ -200,7 +208,7 @@ def encode_datagram(datagram: Datagram) -> bytes:
 
 
 def decode_datagram(data: bytes) -> Datagram:
-    """The received datagram. Raises WireError for anything else."""
+    """The received datagram. Raises WireError for other bytes."""
     if len(data) > MAX_DATAGRAM or not data.startswith(MAGIC):
         raise WireError("it is no datagram of this version of lfield")
     return _strict(_datagrams, memoryview(data)[len(MAGIC) :])
@@ -212,7 +220,7 @@ def encode_part(part: Order | OrderAnswer) -> bytes:
 
 
 def decode_order(data: bytes) -> Order:
-    """The order in a `SignedOrder`. Raises WireError, also if it names a host twice."""
+    """The order in a `SignedOrder`. Raises WireError, also if the order names a host twice."""
     order = _strict(_orders, data)
     if len({one.host for one in order.hosts}) < len(order.hosts):
         raise WireError("an order names a host twice")
@@ -250,7 +258,7 @@ def order_confirmation(id: bytes, epochs: Epochs, devices: Mapping[str, str], tr
 
 
 def numbered_answer(answer: OrderAnswer, attempt: int, held: float) -> OrderAnswer:
-    """An answer to the datagram of that number, which arrived `held` seconds before."""
+    """An answer to the datagram with this number, which arrived `held` seconds before."""
     return replace(answer, attempt=attempt, held=min(0xFFFF, round(held * 1000)))
 
 

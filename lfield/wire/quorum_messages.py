@@ -33,11 +33,11 @@ class FencedRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class Heartbeat(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=30):
-    """To a member: acknowledge this, so that the sender may act for another lease.
+    """To a member: acknowledge the heartbeat, so that the sender may act for another lease.
 
     `incarnation` is the sender's incarnation, `number` counts in it. `fences` is a hash of all fences and
     terminations that it knows. `held` also names a coordinator that has terminated on the sender, until a
-    majority of the members has that termination on disk.
+    majority of the members has the termination on disk.
     """
 
     incarnation: Count
@@ -47,10 +47,10 @@ class Heartbeat(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
 
 
 class HeartbeatAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=31):
-    """The answer: all fences and terminations of this member, or none where the hash is the same.
+    """The answer: all fences and terminations of this member, or none if the hash is equal.
 
-    `ended` has the newest termination of each coordinator. With number 0 the sender acknowledges nothing: its
-    journal is new.
+    `ended` has the newest termination of each coordinator. With number 0 the message is no acknowledgement:
+    the journal of the sender is new.
     """
 
     incarnation: Count
@@ -71,7 +71,7 @@ class Propose(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
 
 
 class Promise(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=35):
-    """The answer, once it is on disk.
+    """The answer, when the promise is on disk.
 
     A `fence` above the proposed generation is a refusal, and so is `ended`: the coordinator has terminated.
     """

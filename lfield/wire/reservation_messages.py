@@ -1,7 +1,7 @@
 """Messages between hosts about reservations (decision 53; messages as in `messages`).
 
 A coordinator reserves a resource by moving to its host, so there is no request message. These two messages
-renew and release a reservation. They have no answer: a lost one is made good by the end of the lease.
+renew and release a reservation. They have no answer: the end of the lease compensates for a lost message.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from lfield.wire.fields import Count, Name, Ordinal
 
 
 class RenewReservation(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=20):
-    """That start of a coordinator is on the sender, in the block that reserves a resource of the receiver."""
+    """A start of a coordinator is on the sender, in the block that reserves a resource of the receiver."""
 
     resource: Name
     number: Count

@@ -1,7 +1,7 @@
 """Messages to the service of a robot: bundles in pieces, votes about activation, and commands.
 
 Desks send them, and the services of other hosts ask for votes. Messages as in `messages`, which has the union
-of all. A list that may be long is bounded so that its message fits the limit of an observer.
+of all. Lists that may be long are limited, so that a message fits the limit of an observer.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ BallotOutcome = Literal["open", "activated", "aborted"]
 
 
 def ballot_outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOutcome:
-    """The result of a ballot among `hosts`: a function of the votes alone."""
+    """The result of a ballot among `hosts`: a function of the votes only."""
     if "no" in votes.values():
         return "aborted"
     return "activated" if all(votes.get(host) == "yes" for host in hosts) else "open"
@@ -55,14 +55,14 @@ def missing_votes(hosts: Iterable[str], votes: Mapping[str, Vote]) -> list[str]:
 
 #: The statuses of a host that has ended with the whole mission.
 COMPLETED = (exit_status.DONE, exit_status.FAILED)
-#: What the mission's host does, as its service sees it.
+#: The phase of the mission's host, as seen by its service.
 RunPhase = Literal["stopped", "starting", "running", "stopping", "waiting", "ended", "interrupted"]
 
 
 class BundleInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A stored bundle: its digest, its mission's name, its signer and the time of the signature.
 
-    `hosts` are those of the mission, `coordinators` its coordinators with the hosts on which they start.
+    `hosts` are the hosts of the mission, `coordinators` its coordinators with the hosts on which they start.
     """
 
     digest: Hash
@@ -76,7 +76,7 @@ class BundleInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 class Ballot(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A proposal that all `hosts` activate the bundle `digest`; b"" for none.
 
-    `id` is random. `by` is who proposed it.
+    `id` is random. `by` is the name of its proposer.
     """
 
     id: OrderId
@@ -86,10 +86,10 @@ class Ballot(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
 
 class BallotState(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=51):
-    """What a host knows of a ballot: the votes that are stored, by host, and the reasons of those against.
+    """The state of a ballot on a host: the stored votes, by host, and the reasons of the votes against.
 
-    `ballot` is None where the host has never received it; a host that voted no on demand may have the id
-    only. The answer to Proposal, VoteQuery and VoteReport.
+    `ballot` is None if the host has never received it; a host that voted no on demand may have the id only.
+    The answer to Proposal, VoteQuery and VoteReport.
     """
 
     id: OrderId
@@ -107,7 +107,7 @@ class BallotState(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 class UnfinishedCoordinator(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A coordinator that has not ended as far as this host knows; `where` is its last known host.
 
-    `state` is in words. `mission` is the name of its deployment.
+    `state` is a description. `mission` is the name of its deployment.
     """
 
     agent: Name
@@ -117,10 +117,10 @@ class UnfinishedCoordinator(Struct, frozen=True, array_like=True, forbid_unknown
 
 
 class RunInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The mission's host that the service starts: its bundle, its phase, and why it is in that phase.
+    """The mission's host that the service starts: its bundle, its phase, and the reason of this phase.
 
     `since` is in seconds since 1970. `status` is the exit status of the last end, None before the first.
-    `order` is the id of the order that started it, b"" for none.
+    `order` is the id of the order that started the host, b"" for none.
     """
 
     bundle: Hash = b""
@@ -132,7 +132,7 @@ class RunInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     @property
     def has_completed(self) -> bool:
-        """Whether the mission has ended as a whole: it continues on no other host."""
+        """Whether the mission has ended as a whole: it does not continue on another host."""
         return self.phase == "ended" and self.status in COMPLETED
 
 
@@ -143,8 +143,8 @@ class ServiceQuery(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 class ServiceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=53):
     """The state of a service: version of lfield, active and previous bundle, stored bundles, last ballot.
 
-    `refusal` is why it would vote no now, '' if it would not. `unfinished` are the coordinators that have not
-    ended. `time` is that of its clock, in seconds since 1970.
+    `refusal` is the reason why the host would vote no now, '' if it would vote yes. `unfinished` are the
+    coordinators that have not ended. `time` is the time of its clock, in seconds since 1970.
     """
 
     host: Name
@@ -162,7 +162,8 @@ class ServiceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 class BundleOffer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=54):
     """Offer some pieces of a bundle, from number `first` of `count`; answered by PieceRequest.
 
-    `digest` is that of the bundle and `file` that of its whole file, with the signature. `size` is in bytes.
+    `digest` is the digest of the bundle and `file` the digest of its whole file, with the signature. `size`
+    is in bytes.
     """
 
     digest: Hash
@@ -174,9 +175,10 @@ class BundleOffer(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class PieceRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=55):
-    """The pieces of an offer that the host does not have, by number. `trouble` is why it takes none.
+    """The pieces of an offer that the host does not have, by number. `trouble` is the reason why it accepts
+    none.
 
-    With `retry` it takes them later, here and in the next answers: offer them again.
+    With `retry`, here and in the next answers, it accepts pieces later: offer them again.
     """
 
     file: Hash
@@ -187,7 +189,7 @@ class PieceRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class BundlePiece(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=56):
-    """The bytes of a piece, compressed (raw deflate) if that is shorter; answered by PieceStored."""
+    """The bytes of a piece, compressed (raw deflate) if the result is shorter; answered by PieceStored."""
 
     file: Hash
     number: Count
@@ -196,7 +198,7 @@ class BundlePiece(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class PieceStored(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=57):
-    """A piece is on disk. `trouble` is why it is not."""
+    """A piece is on disk. `trouble` is the reason why it is not."""
 
     file: Hash
     number: Count
@@ -212,7 +214,7 @@ class StageRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class StageResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=59):
-    """The bundle is stored. `trouble` is why it is not, `code` the code of that error."""
+    """The bundle is stored. `trouble` is the reason why it is not, `code` the code of this error."""
 
     digest: Hash
     trouble: Text = ""
@@ -227,7 +229,7 @@ class Proposal(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
 
 
 class VoteQuery(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=61):
-    """Ask what a host knows of a ballot. With `closes` a host that has not voted votes no."""
+    """Query the state of a ballot on a host. With `closes`, a host that has not voted votes no."""
 
     id: OrderId
     closes: bool = False
@@ -245,9 +247,9 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
     `digest` is the bundle that must be active, b"" for any. `discards`: a stop also ends the coordinators
     that have not ended, so that the next start is another run. A start does not wait for the hosts `without`.
-    `order` is the id of a start, the same on all hosts: a host that was restarted while the mission ended
-    knows by it that the end on another host is that of its run. `is_assistant`: an AI assistant sends it
-    for the person.
+    `order` is the id of a start, the same on all hosts: with it, a host that was restarted while the mission
+    ended recognises the end on another host as the end of its own run. `is_assistant`: an AI assistant sends
+    the command for the person.
     """
 
     action: Literal["start", "stop"]
@@ -261,9 +263,9 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
 class CommandResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=64):
     """The state after a command.
 
-    `trouble` is why it was not executed, or after a stop why vehicles may not be at rest. `discarded` are the
-    coordinators that it has ended. `checked` is how a host had ended before a stop, which says that its
-    vehicles have been checked.
+    `trouble` is the reason why it was not executed, or, after a stop, why vehicles may not be at rest.
+    `discarded` are the coordinators that the command has ended. `checked` is the end of a host before a stop,
+    which says that its vehicles have been checked.
     """
 
     run: RunInfo

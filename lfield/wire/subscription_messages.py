@@ -1,7 +1,7 @@
 """The subscription protocol for the events of a host: request, batches, acknowledgements.
 
 The subscriber controls the flow: a host sends at most WINDOW batches beyond the last acknowledged one, so a
-subscriber that stops reading costs its host a bounded number of bytes. Messages as in `messages`.
+subscriber that stops reading uses a bounded number of bytes of its host. Messages as in `messages`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lfield.wire.events import Event
 from lfield.wire.fields import Count, Duration, Label, Moment, Ordinal
 from lfield.wire.observer_messages import Status
 
-#: The most events of a batch; their bytes are bounded too (`lfield.host.events`).
+#: The most events of a batch; their bytes are also bounded (`lfield.host.events`).
 MAX_EVENTS = 1024
 
 #: Maximum telemetry rate for each device and agent, per second.
@@ -25,13 +25,13 @@ WINDOW = 8
 
 
 class Subscribe(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=40):
-    """From an observer: subscribe to events. A second one on a link replaces the first.
+    """From an observer: subscribe to events. A second subscription on a link replaces the first.
 
     `incarnation` 0: from now on. The present incarnation of the host (its `Hello` has it): all stored states
     after number `after`. Another one: all stored states of this incarnation. `telemetry` is the maximum rate
-    for each device and agent in 1/s; 0 for never. Answered by `EventBatch`, the first one at once.
-    `once`: the answer is one batch with a snapshot and without events, and no subscription. Its directory has
-    the attributes of agents of other hosts only with `directory`.
+    for each device and agent in 1/s; 0 for never. Answered by `EventBatch`, the first one at once. `once`:
+    the answer is one batch with a snapshot and without events, and no subscription. The directory in the
+    snapshot has the attributes of agents of other hosts only with `directory`.
     """
 
     incarnation: Count = 0
@@ -44,12 +44,12 @@ class Subscribe(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
 class EventBatch(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=41):
     """Events: the `batch` counts from 1 since the Subscribe.
 
-    Its states are ordered by number, and begin after number `after`; the host's last one was `latest` when
-    this was sent, at `now` (Unix time) and `up` (seconds of its monotonic clock). `lost` counts by kind the
-    events dropped for this subscriber since the batch before; of states (as 'state') these are the ones whose
-    numbers are missing, from the batch before to `after` and between its states. `snapshot` is the state of
-    the host just after `latest`: in the answer to a request for it `once`, in the first batch for a new
-    subscriber, and in a batch without states before states are lost.
+    Its states are ordered by number, and begin after number `after`; the host's last state was `latest` when
+    the batch was sent, at `now` (Unix time) and `up` (seconds of its monotonic clock). `lost` counts by kind
+    the events dropped for this subscriber since the previous batch; for states (as 'state'), these are the
+    states whose numbers are missing, from the previous batch to `after` and between the states of this batch.
+    `snapshot` is the state of the host just after `latest`: in the answer to a request for a snapshot `once`,
+    in the first batch for a new subscriber, and in a batch without states before states are lost.
     """
 
     incarnation: Count
@@ -64,7 +64,7 @@ class EventBatch(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class EventAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=42):
-    """From an observer: it has processed events up to that batch. At most WINDOW are sent beyond it."""
+    """From an observer: it has processed events up to a batch. At most WINDOW batches are sent beyond it."""
 
     batch: Ordinal
 
@@ -73,7 +73,7 @@ SubscriptionMessage = Subscribe | EventBatch | EventAck
 
 
 def as_fields(event: Event) -> dict[str, Any]:
-    """An event as named fields: number, at, up, cause, kind, and those of its kind; for JSON."""
+    """An event as named fields: number, at, up, cause, kind, and the fields of its kind; for JSON."""
     fields = {name: to_builtins(getattr(event.what, name)) for name in event.what.__struct_fields__}
     head = {"number": event.number, "at": event.at, "up": event.up, "cause": event.cause}
     return {**head, "kind": event.kind, **fields}

@@ -1,4 +1,4 @@
-"""The bytecode verifier (DESIGN section 5): engines need no check that it has made.
+"""The bytecode verifier (DESIGN section 5): engines do not repeat its checks.
 
 It checks every program before use, also untrusted bytes from a peer. Records are checked before the
 instructions that refer to them, so that later checks may follow an index without a test. Each check visits
@@ -19,7 +19,7 @@ from lfield.bytecode.verifier.record_checks import (
 
 
 def verify(program: Program) -> None:
-    """Accept a valid program; raises ProgramFileError that names the invalid method and instruction."""
+    """Accept a valid program; raises ProgramFileError with the invalid method and instruction."""
     core = program.core
     check_types(core)
     check_classes(core)

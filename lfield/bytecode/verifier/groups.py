@@ -41,13 +41,13 @@ from lfield.bytecode.verifier.query_groups import (
 _PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
 _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 
-#: Features of coordinators alone, by instruction.
+#: Features of coordinators only, by instruction.
 _OF_COORDINATORS = {
     **{"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"},
     **dict.fromkeys(("seq_start", "seq_stop", "seq_end", "seq_alive"), "other coordinators to start"),
 }
 
-#: Instructions that create or read exceptions that a program of lfield 0.3 lacks.
+#: Instructions that create or read exceptions that are missing in a program of lfield 0.3.
 _NOT_IN_0_3 = frozenset({"exc_others"} | {row.name for row in BY_CODE.values() if 1600 <= row.code < 1850})
 
 
@@ -161,7 +161,7 @@ def _leave(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
 
 
 def _tickets(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    """A ticket, or an array of futures: objects whose first field is one."""
+    """A ticket, or an array of futures: objects whose first field is a ticket."""
     _check_coordinator(view, pc)
 
     def has_tickets(view: MethodView, index: int) -> bool:

@@ -97,7 +97,7 @@ def _check_handler(view: MethodView, handler: Handler, starts: set[int]) -> None
 
 
 def _check_region(view: MethodView, handler: Handler) -> None:
-    """A row without target: it marks its instructions."""
+    """Check a row without target, which marks its instructions."""
     if handler.target or handler.catches or (handler.kind == LANDING and handler.slot):
         raise view.refused(handler.start, "a row that catches nothing has a target")
     if handler.kind == LANDING:

@@ -39,12 +39,14 @@ _OWNERS = {
 }
 #: The body of a loop, and the method of its thread.
 _OF_LOOPS = ("loop", "ticks")
-#: Kinds in slots besides values, by the scope of the method.
+#: Kinds in slots other than values, by the scope of the method.
 _NON_VALUE_KINDS = {"resource": frozenset({DEVICE}), "coordinator": frozenset({TICKET})}
 
 
 def check_methods(core: Core) -> None:
-    """Every method has a valid record, and together they cover the code without gap or overlap."""
+    """Check that every method has a valid record, and that together they cover the code without gap or
+    overlap.
+    """
     table = TypeTable(core)
     at = 0
     for method in core.methods:
@@ -83,7 +85,9 @@ def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
 
 
 def _check_inits(core: Core) -> None:
-    """Resources and coordinators have one init each, from string[] to nothing; classes have none."""
+    """Check that resources and coordinators have one init each, from string[] to nothing, and classes have
+    none.
+    """
     for index, method in enumerate(core.methods):
         if method.kind != "init":
             continue
@@ -101,7 +105,7 @@ def _check_inits(core: Core) -> None:
 
 
 def _check_portals(core: Core) -> None:
-    """Types of one side may not cross a portal, however deeply they are nested in an argument.
+    """Check that types of one side do not cross a portal, at any depth in an argument.
 
     All portals share the visited set, so each type is checked once.
     """
@@ -132,13 +136,13 @@ def _parts(core: Core, record: TypeRecord, suppressed_fields: Mapping[int, int])
         return [record.of]
     if record.kind != OBJECT:
         return []
-    # Suppressed exceptions of a `together` are not copied when an exception crosses (copier.py).
+    # Suppressed exceptions of a `together` are not copied when an exception crosses a portal (copier.py).
     fields = core.classes[record.of].fields
     return [field.type for i, field in enumerate(fields) if i != suppressed_fields.get(record.of)]
 
 
 def check_debug(program: Program) -> None:
-    """Debug information is optional; otherwise it has one valid entry per method."""
+    """Check debug information, which is optional: it has one valid entry per method."""
     debug, methods = program.debug, program.core.methods
     if debug.methods and len(debug.methods) != len(methods):
         raise ProgramFileError("its debug information does not match its methods")

@@ -65,7 +65,7 @@ def _throw(view: MethodView, pc: int, quad: Quad) -> bool:
     return view.types.fits(view.slot(quad.a, pc), ANY)
 
 
-#: Rules by instruction name; the table fully describes instructions without one.
+#: Rules by instruction name; the table fully describes instructions without a rule.
 RULES: dict[str, tuple[Rule, str]] = {
     "move": (_move, "the value does not fit the slot"),
     "getf": (_getf, "the field does not fit the slot"),

@@ -114,7 +114,7 @@ class MethodView:
     def _has_kind(self, given: int, operand: Operand) -> bool:
         exact = _EXACT.get(operand.kind)
         if exact is not None:
-            # A written slot must have exactly the type; a read one may also be null.
+            # A written slot must have exactly the type; a slot that is read may also be null.
             return given == exact if operand.role == "D" else self.types.fits(given, exact)
         if operand.kind == "ref":
             return self.types.is_reference(given)

@@ -1,4 +1,4 @@
-"""Verifies the groups of queries: find, offers, teams, and what is asked of proxies; the tests of groups."""
+"""Verifies the groups of queries: find, offers, teams, and queries about proxies; the tests of groups."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 from lfield.bytecode.program import INT, OBJECT, PROXY, STRING, VOID, Quad, TypeRecord
 from lfield.bytecode.verifier.operands import MethodView
 
-#: Whether a type index is valid for an argument or result of a head.
+#: Tests whether a type index is valid for an argument or result of a head.
 TypeTest = Callable[[MethodView, int], bool]
 
 
@@ -20,17 +20,17 @@ class GroupSignature(NamedTuple):
 
 
 def accepts(expected: int) -> TypeTest:
-    """Values that fit a type."""
+    """A test for values that fit a type."""
     return lambda view, index: view.types.fits(index, expected)
 
 
 def result_test(result: int) -> TypeTest | None:
-    """Where a result of a type may be stored; None for no result."""
+    """A test for places in which a result of a type may be stored; None for no result."""
     return None if result == VOID else lambda view, index: view.types.fits(result, index)
 
 
 def proxy_of(resource: int) -> TypeTest:
-    """Proxies of a resource."""
+    """A test for proxies of a resource."""
     return lambda view, index: view.types.record(index) == TypeRecord(PROXY, resource)
 
 

@@ -56,7 +56,7 @@ _FACT_TYPES = (
 )
 _FACT_SHAPE = list(zip(FACT_FIELDS, _FACT_TYPES, strict=True))
 
-#: The field of a loop of a resource: no name of a program leads to it.
+#: The field of a loop of a resource: no name of a program refers to it.
 _LOOP_FIELD = re.compile(r"[A-Za-z_]\w*\.(running|engaged|overruns)", re.ASCII)
 #: The name of a class of maps or futures is its type.
 _LIBRARY_NAME = re.compile(r"(map|future)<[\w<>, \[\]]+>")
@@ -67,7 +67,9 @@ _EFFECTS = frozenset({"query", "idempotent", "actuate"})
 
 
 def check_types(core: Core) -> None:
-    """The fixed types first; then arrays of earlier types, objects and proxies; no duplicates."""
+    """Check the types: first the fixed ones, then arrays of earlier types, objects and proxies; no
+    duplicates.
+    """
     old = core.builtins == OLDEST_BUILTINS
     fixed = _OLD_TYPES if old else FIXED_TYPES
     if core.types[: len(fixed)] != fixed:
@@ -110,7 +112,7 @@ def _is_enum(record: ClassRecord) -> bool:
 
 
 def check_classes(core: Core) -> None:
-    """Names, kinds, fields and devices of classes; `init` is checked with the methods."""
+    """Check names, kinds, fields and devices of classes; `init` is checked with the methods."""
     names = [record.name for record in core.classes]
     if len(set(names)) != len(names):
         raise ProgramFileError("two of its classes have the same name")
@@ -127,7 +129,7 @@ def check_classes(core: Core) -> None:
 
 
 def _check_suppressed(record: ClassRecord) -> None:
-    """The field for suppressed exceptions: written by the machine, not copied by portals."""
+    """Check the field for suppressed exceptions, which the machine writes and portals do not copy."""
     if record.kind != "class" or record.capability or record.fields[-1].type != EXCEPTIONS:
         raise ProgramFileError(f"{record.name} has no field for suppressed exceptions")
 
@@ -150,13 +152,13 @@ def _check_fields(record: ClassRecord, table: TypeTable, fields: Sequence[FieldR
 
 
 def _may_hold_ticket(record: ClassRecord, table: TypeTable, field: FieldRecord) -> bool:
-    """Whether it is the field of a future: its call, in an object of a coordinator."""
+    """Whether `field` is the field of a future: the call, in an object of a coordinator."""
     is_future = record.kind == "class" and record.usage == "coordinator"
     return table.kind(field.type) == TICKET and is_future
 
 
 def _check_capability(record: ClassRecord, table: TypeTable) -> None:
-    """The machine creates offers, so their classes must have the layout that it expects."""
+    """Check the layout of a class of offers, which the machine creates."""
     if (record.kind, record.usage) != ("class", "coordinator"):
         raise ProgramFileError(f"the capability {record.name} is not a coordinator specific class")
     facts = table.fields(record.fields[0].type) if record.fields else ()
@@ -166,20 +168,22 @@ def _check_capability(record: ClassRecord, table: TypeTable) -> None:
 
 
 def _plain(table: TypeTable, index: int) -> TypeRecord:
-    """A type; of an array that grows that of its elements."""
+    """A type; for a growable array, the type of the ARRAY with its elements."""
     record = table.record(index)
     return table.record(record.of) if record.kind == GROWABLE else record
 
 
 def check_constants(core: Core) -> None:
-    """Ints within 64 bits; the other kinds are as wide as their encoding."""
+    """Check the constants: ints within 64 bits; the other kinds are limited by their encoding."""
     for number, value in enumerate(core.constants):
         if type(value) is int and not _INT_MIN <= value <= _INT_MAX:
             raise ProgramFileError(f"constant {number} is an int beyond 64 bits")
 
 
 def check_device_calls(core: Core) -> None:
-    """Each names a device of a resource, and only values that may cross to a driver."""
+    """Check that each device call names a device of a resource, and only values that may be passed to a
+    driver.
+    """
     values = {i for i in range(len(core.types)) if _is_device_value(core, i)}
     results = {VOID, *values}
     devices = {(i, device) for i, record in enumerate(core.classes) for device in record.devices}
@@ -198,6 +202,6 @@ def check_device_calls(core: Core) -> None:
 
 
 def _is_device_value(core: Core, index: int) -> bool:
-    """Whether it is a type of manifest.DEVICE_VALUE_TYPES."""
+    """Whether `index` is a type of manifest.DEVICE_VALUE_TYPES."""
     kind = core.types[index].kind
     return kind in range(1, STRING + 1) or (kind in ARRAYS and core.element(index) in (INT, REAL))

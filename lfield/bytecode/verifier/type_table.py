@@ -1,4 +1,4 @@
-"""Types of a program for the verifier: which values may be stored where."""
+"""Types of a program for the verifier: the values that may be stored in each place."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class TypeTable:
         """Whether a value of one type may be stored where another is expected.
 
         Ints and members of enums fit each other. Null fits every reference, an object of a class fits ANY and
-        the class's parent, otherwise the types must be equal.
+        the class's parent; otherwise the types must be equal.
         """
         if given == expected:
             return True

@@ -52,7 +52,7 @@ class Attempts:
             self._logged.clear()
 
     def _line(self, reason: str, line: str, now: float) -> str:
-        """The line, unless one for the same reason was logged within REPEAT_INTERVAL."""
+        """The line, unless a line with the same reason was logged within REPEAT_INTERVAL."""
         if now - self._said_at >= REPEAT_INTERVAL:
             self._logged.clear()
             self._said_at = now

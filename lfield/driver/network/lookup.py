@@ -48,7 +48,9 @@ def _is_address(host: str) -> bool:
 
 
 class Lookup:
-    """The addresses of one host. One resolution at a time, so that a resolver that hangs uses one thread."""
+    """The addresses of one host. Only one resolution runs at a time, so that a resolver that hangs uses one
+    thread.
+    """
 
     def __init__(self, host: str, port: int, kind: socket.SocketKind) -> None:
         self.host, self.port, self._kind = unbracketed(host), port, kind
@@ -60,7 +62,9 @@ class Lookup:
         return _is_address(self.host)
 
     async def addresses(self, within: float) -> list[tuple[int, Address]]:
-        """Families and addresses, in order of preference. Raises OSError, a TimeoutError after `within` s."""
+        """Families and addresses, in order of preference. Raises OSError, and TimeoutError after
+        `within` s.
+        """
         loop = asyncio.get_running_loop()
         if isinstance(loop, SimulatedLoop):
             return [(socket.AF_INET, (self.host, self.port))]
@@ -77,9 +81,9 @@ class Lookup:
 async def connected(lookup: Lookup, within: float, make: Callable[[], P]) -> tuple[P, str]:
     """Connects by TCP to the first address that answers; returns the protocol from `make` and that address.
 
-    The next address is tried STAGGER s after the last (happy eyeballs). Name resolution may take `within`
-    seconds, and all connection attempts together as long again. The kernel ends a connection whose path is
-    dead within 5 s. Raises OSError.
+    The next address is tried STAGGER s after the last one (happy eyeballs). Name resolution may take `within`
+    seconds, and all connection attempts together also `within` seconds. The kernel ends a connection whose
+    path is dead within 5 s. Raises OSError.
     """
     loop = asyncio.get_running_loop()
     if isinstance(loop, SimulatedLoop):

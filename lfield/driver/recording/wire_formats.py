@@ -18,7 +18,8 @@ HEX_HEADER = b"# lfield wire log 1: seconds since 1970, > sent or < received, by
 #: MAVLink messages that contain keys or passwords, and are never logged: CHANGE_OPERATOR_CONTROL, AUTH_KEY,
 #: SETUP_SIGNING and WIFI_CONFIG_AP.
 SECRET_MESSAGES = frozenset({5, 7, 256, 299})
-#: Flag of an error frame in the id of a candump line, and the class of error for which python-can reads one.
+#: Flag of an error frame in the id of a candump line, and the class of errors for which python-can reads such
+#: a frame.
 _CAN_ERROR = 0x2000_0000 | 0x80
 _MICROSECONDS = Struct(">Q")
 _MAVLINK_2, _MAVLINK_1 = 0xFD, 0xFE
@@ -26,14 +27,14 @@ _UNPRINTABLE = re.compile(r"[^A-Za-z0-9_.-]")
 
 
 def tlog_entry(time: float, packet: bytes) -> bytes:
-    """One MAVLink packet; b"" for one that must not be logged."""
+    """One MAVLink packet; b"" for a packet that must not be logged."""
     if _message_id(packet) in SECRET_MESSAGES:
         return b""
     return _MICROSECONDS.pack(max(0, int(time * 1e6))) + packet
 
 
 def _message_id(packet: bytes) -> int | None:
-    """The message id of a packet of either version; None for anything else."""
+    """The message id of a packet of either version; None for other bytes."""
     if len(packet) >= 10 and packet[0] == _MAVLINK_2:
         return packet[7] | packet[8] << 8 | packet[9] << 16
     return packet[5] if len(packet) >= 6 and packet[0] == _MAVLINK_1 else None
@@ -59,7 +60,7 @@ def candump_line(
 
 
 def candump_error(time: float, channel: str, identifier: int, data: bytes) -> bytes:
-    """One error frame of a CAN interface; `identifier` has its classes of errors."""
+    """One error frame of a CAN interface; `identifier` contains its classes of errors."""
     return f"({time:.6f}) {channel} {_CAN_ERROR | identifier:08X}#{data.hex().upper()}\n".encode()
 
 
@@ -76,7 +77,9 @@ def hex_line(time: float, data: bytes, *, is_sent: bool) -> bytes:
 
 
 def parse_hex_line(line: str) -> tuple[float, bool, bytes] | None:
-    """Time, whether it was sent, and bytes of a line; None for the header and for a line that was cut."""
+    """The time, whether the bytes were sent, and the bytes of a line; None for the header and for an
+    incomplete line.
+    """
     time, _, rest = line.partition(" ")
     direction, _, data = rest.partition(" ")
     if direction not in ("<", ">") or not line.endswith("\n"):

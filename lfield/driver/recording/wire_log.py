@@ -1,4 +1,4 @@
-"""The log of one bus: what its driver sends and receives, while a recording runs."""
+"""The log of one bus: the data that its driver sends and receives while a recording runs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LogRing(Protocol):
         """Appends an entry without waiting."""
 
     def close(self, timeout: float = 2.0) -> None:
-        """Writes what is pending."""
+        """Writes the pending entries."""
 
 
 #: Creates the ring of a log with a suffix and the first bytes of each file.
@@ -40,9 +40,10 @@ MakeRing = Callable[[str, bytes], LogRing]
 
 
 class WireLog:
-    """The log of one bus; `Driver.wire_log`. Nothing is logged unless the guard has started it.
+    """The log of one bus; `Driver.wire_log`. No data is logged unless the guard has started the log.
 
-    A driver calls the method of its protocol for all that it sends and receives. No call waits or raises.
+    A driver calls the method of its protocol for all data that it sends and receives. No call waits or
+    raises.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -51,11 +52,11 @@ class WireLog:
         self._rings: dict[str, LogRing] = {}
 
     def start(self, make_ring: MakeRing) -> None:
-        """Logs from now on."""
+        """Starts the log."""
         self._make_ring = make_ring
 
     def close(self) -> None:
-        """Ends the log; waits for the disk at most a second."""
+        """Ends the log; waits for the disk at most one second."""
         self._make_ring = None
         for ring in self._rings.values():
             ring.close(1.0)

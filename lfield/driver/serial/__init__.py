@@ -1,6 +1,6 @@
 """Serial ports for driver authors: exclusive, non-blocking, framed, with time-outs and reconnection.
 
-`SerialLine` suits most drivers: frames, requests and responses. `SerialPort` is the port alone: bytes in and
+`SerialLine` suits most drivers: frames, requests and responses. `SerialPort` is only the port: bytes in and
 out. `Lines` and `Packets` cut bytes into frames, as does any class with `feed` and `reset`. Requires pyserial
 (extra `serial`), except for importing this package.
 """

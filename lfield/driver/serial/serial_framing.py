@@ -19,7 +19,7 @@ class Framer(Protocol):
 
 
 class Lines:
-    """Frames that end with a delimiter, which is removed; those longer than `longest` are dropped."""
+    """Frames that end with a delimiter, which is removed; frames longer than `longest` are dropped."""
 
     def __init__(self, end: bytes = b"\n", *, longest: int = 1024) -> None:
         if not end or longest < 1:
@@ -57,7 +57,7 @@ class Packets:
     """Frames that start with `start` and encode their length in the first `header` bytes.
 
     `length(head)` is the length of the whole frame in bytes, `sound(frame)` whether its checksum is right;
-    both get `bytes` and must not raise. After a damaged frame it resynchronises byte by byte.
+    both get `bytes` and must not raise. After a damaged frame the framer resynchronises byte by byte.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Packets:
         return frames
 
     def _next(self) -> int | None:
-        """Length in bytes of the first frame, 0 when there is none, None when more bytes are needed."""
+        """The length in bytes of the first frame, 0 without one, None if more bytes are needed."""
         self._skip_to_start()
         if len(self._partial) < self._header or not self._partial.startswith(self._start):
             return None

@@ -23,8 +23,8 @@ class SerialLine:
     """A port with its framer, at `serial:PATH:BAUD`.
 
     `on_frame` gets every frame that is not a response; `note` gets one sentence when the port is lost and
-    when it is back. `wire_log` is that of the driver. `make_port` is for tests. Raises DeviceError for an
-    invalid endpoint.
+    when it is open again. `wire_log` is the log of the driver. `make_port` is for tests. Raises DeviceError
+    for an invalid endpoint.
     """
 
     def __init__(
@@ -69,8 +69,8 @@ class SerialLine:
     ) -> bytes:
         """Sends a request and returns the first frame that `fits`, at most `within` seconds after each try.
 
-        Requests are serialised. If a late response to the last request could be taken for one to this
-        request, `fits` must distinguish them. Raises DeviceError.
+        Requests are serialised. If a late response to the last request could match this request, `fits` must
+        distinguish them. Raises DeviceError.
         """
         async with self._request_lock:
             for _ in range(tries):

@@ -57,7 +57,7 @@ def parse_serial_endpoint(endpoint: str) -> tuple[str, int]:
 class SerialPort:
     """A tty with 8 data bits and 1 stop bit, locked against other programs.
 
-    With `note` a USB adapter is set to pass bytes on within a millisecond, for request-response protocols;
+    With `note` a USB adapter is set to deliver bytes within a millisecond, for request-response protocols;
     `note` is called if that fails. `latency` is the longest delay of received bytes, in seconds. `tried`
     (default: `note`) gets one line per reason why an unplugged port cannot be reopened.
     """
@@ -84,7 +84,7 @@ class SerialPort:
         return self._port is not None
 
     def open(self) -> None:
-        """Opens and configures the port. Raises DeviceError when that is impossible."""
+        """Opens and configures the port. Raises DeviceError if the port cannot be opened."""
         make = _pyserial()
         try:
             self._attach(make)
@@ -105,7 +105,9 @@ class SerialPort:
             self._set_low_latency(self._note)
 
     def _set_low_latency(self, note: Callable[[str], None]) -> None:
-        """Sets the adapter's latency timer to 1 ms if it has one and permissions allow; otherwise logs it."""
+        """Sets the adapter's latency timer to 1 ms if it has one and permissions allow; otherwise logs the
+        reason.
+        """
         file = Path(_LATENCY.format(Path(self.path).resolve().name))
         if not file.exists():
             return
@@ -169,8 +171,9 @@ class SerialPort:
             port.close()
 
     def _reason(self, error: Exception) -> str:
-        """Why a port cannot be used, with the remedy if there is one; pyserial reports it in its text
-        only.
+        """The reason why a port cannot be used, with the remedy if there is one.
+
+        pyserial reports the reason in the text of its exception only.
         """
         number, text = getattr(error, "errno", None), str(error)
         if "exclusively lock" in text:
@@ -183,7 +186,7 @@ class SerialPort:
 
 
 def permission_cure(path: str) -> str:
-    """What to do where a device file may not be opened, with the group that owns it."""
+    """The remedy if a device file may not be opened, with the group that owns it."""
     try:
         group = grp.getgrgid(os.stat(path).st_gid).gr_name
     except (OSError, KeyError):
@@ -201,7 +204,7 @@ class _Tty:
 
     def _readable(self) -> None:
         try:
-            # pyserial's own read does not always treat an empty read as an error; the file does.
+            # pyserial's own read does not always treat an empty read as an error; a read of the file does.
             data = os.read(self._port.fileno(), READ_SIZE)
         except BlockingIOError:
             return
@@ -225,7 +228,7 @@ class _Tty:
 
 
 def _pyserial() -> Any:
-    """Imports pyserial. Raises DeviceError that says what to install."""
+    """Imports pyserial. Raises DeviceError that names the package to install."""
     try:
         from serial import Serial
     except ImportError:

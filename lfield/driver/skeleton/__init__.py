@@ -24,12 +24,12 @@ PLACES = {
     "memory_wire.py": "tests/memory_wire.py",
     "test.py": "tests/test_$name.py",
 }
-#: Templates of each variant: the folder of that name has them.
+#: Templates of each variant: the folder of that name contains them.
 VARIANTS = {
     "sensor": frozenset({"README.md", "manifest.yaml", "device.py", "model.py", "kit.py", "test.py"}),
     "serial": frozenset({"driver.py", "fake.py", "memory_wire.py"}),
 }
-#: What the templates name of the link: of TCP, and of a serial port.
+#: The names about the link in the templates: for TCP, and for a serial port.
 TCP = {
     "vendor": "requires=(),",
     "extra": "",
@@ -47,7 +47,9 @@ SERIAL = {
 
 
 def write(name: str, folder: Path, *, sensor: bool = False, serial: bool = False) -> list[Path]:
-    """Write the driver `name` (letters and digits) below a folder; the files. Raises OutputFileError."""
+    """Write the driver `name` (letters and digits) below a folder; returns the files. Raises
+    OutputFileError.
+    """
     names = {"name": name, "Type": name.capitalize()}
     link = {key: Template(text).substitute(names) for key, text in (SERIAL if serial else TCP).items()}
     chosen = [variant for variant, is_chosen in (("sensor", sensor), ("serial", serial)) if is_chosen]

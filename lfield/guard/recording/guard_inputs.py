@@ -1,4 +1,4 @@
-"""The inputs of a GuardCore as data, so that a guard and a replay apply the same ones."""
+"""The inputs of a GuardCore as data, so that a guard and a replay apply the same inputs."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class SafeStateFailed(Struct, frozen=True, array_like=True, tag=10):
 
 
 class MotionReported(Struct, frozen=True, array_like=True, tag=11):
-    """How a device still moves in its safe state; '' when it is at rest."""
+    """The driver reports how a device still moves in its safe state; '' when it is at rest."""
 
     device: str
     moving: str
@@ -116,12 +116,12 @@ class TimerExpired(Struct, frozen=True, array_like=True, tag=14):
 
 
 class CallStarting(Struct, frozen=True, array_like=True, tag=15):
-    """The driver starts an accepted call, unless it is too late: that decision is a text."""
+    """The driver starts an accepted call, unless it is too late; this decision is a text."""
 
     token: int
 
 
-#: The inputs that are answered by effects.
+#: The inputs to which the core responds with effects.
 GuardInput = (
     BusOpened
     | HostBeat
@@ -142,7 +142,7 @@ GuardInput = (
 
 
 def input_of(message: GuardMessage) -> GuardInput | None:
-    """The input that a message of the host is; None for those that no core receives."""
+    """The input for a message of the host; None for messages that no core receives."""
     match message:
         case Beat(sent):
             return HostBeat(sent)

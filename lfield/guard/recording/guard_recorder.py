@@ -31,16 +31,16 @@ from lfield.guard.recording.heartbeat_pulses import PulseCollector
 from lfield.manifest import DeviceManifest, DeviceValue
 from lfield.recording.folders import parse_folder
 
-#: Seconds between two records of the telemetry of a device, at least: 10 Hz.
+#: Minimum seconds between two records of the telemetry of a device: 10 Hz.
 TELEMETRY_INTERVAL = 0.1
 #: A timer of snapshots may be early by this many seconds.
 _EARLY = 0.005
-#: Records that wait for the first segment, at most: the devices are opened meanwhile.
+#: The maximum number of records that wait for the first segment, while the devices are opened.
 MOST_EARLY = 1000
 
 
 class RecordRing(Protocol):
-    """Where the frames go."""
+    """The ring of files that receives the frames."""
 
     @property
     def is_full(self) -> bool:
@@ -53,7 +53,7 @@ class RecordRing(Protocol):
         """Appends frames without waiting."""
 
     def close(self, timeout: float = 2.0) -> None:
-        """Writes what is pending."""
+        """Writes the pending frames."""
 
 
 class _Telemetry:
@@ -92,7 +92,7 @@ class GuardRecorder:
 
     def __init__(self, message: OpenDevices, clock: Clock, ring: RecordRing) -> None:
         self._message, self._clock, self._ring = message, clock, ring
-        #: Records before the first segment, None once that is started.
+        #: Records before the first segment, None when the segment is started.
         self._early: list[bytes] | None = []
         self._origin = parse_folder(Path(message.recording.folder).parent)
         self._guard, self._number = f"{os.getpid()}-{clock.monotonic():.3f}", 0
@@ -168,7 +168,7 @@ class GuardRecorder:
         self._append(framed(NoteRecord(now, note.device, note.text, note.code, note.level)))
 
     def close(self) -> None:
-        """Writes what is pending; waits for the disk at most a second."""
+        """Writes the pending records; waits for the disk at most one second."""
         self._flush_pulses()
         for at, telemetry in enumerate(self._telemetry):
             if changed := telemetry.changes(math.inf):

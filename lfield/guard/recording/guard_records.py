@@ -23,11 +23,11 @@ from lfield.guard.recording.guard_inputs import CallStarting, GuardInput
 from lfield.manifest import DeviceValue
 from lfield.recording.segments import frame
 
-#: Kinds of decisions from here on are messages to the host, by their position in MESSAGES.
+#: Kinds of decisions from this number on are messages to the host, by their position in MESSAGES.
 NOTIFY = 16
-#: Names of the other kinds.
+#: The names of the other kinds.
 KINDS = ("Execute", "Interrupt", "MakeSafe", "Abandon", "CheckRest", "Mute", "Exit")
-#: A user and password in an endpoint, and what follows the address.
+#: A user and password in an endpoint, and the parameters after the address.
 _CREDENTIALS, _PARAMETERS = re.compile(r"(?<=[/:])[^/@]+@(?=[^/@]+$)"), re.compile(r"\?.*")
 
 
@@ -49,11 +49,12 @@ class RecordedDevice(Struct, frozen=True, array_like=True):
 
 
 class SegmentStart(Struct, frozen=True, array_like=True, tag=0):
-    """The first record of each segment: what is recorded, and the state before the following records.
+    """The first record of each segment: the recorded devices, and the state before the following records.
 
-    `guard` distinguishes the processes that have written into one ring; `number` counts the segments of one,
-    from 0. `unstarted` are accepted calls that the driver has not started. `values` are the last recorded
-    values of each device, by its position in `devices` and that of the quantity in its manifest.
+    `guard` distinguishes the processes that have written into one ring; `number` counts the segments of one
+    process, from 0. `unstarted` are accepted calls that the driver has not started. `values` are the last
+    recorded values of each device, by its position in `devices` and the position of the quantity in its
+    manifest.
     """
 
     lfield: str
@@ -135,7 +136,7 @@ def encode_state(state: CoreState) -> bytes:
 
 
 def copy_state(state: CoreState) -> CoreState:
-    """A state that shares nothing with another."""
+    """A copy of a state that shares no data with the original."""
     return msgspec.msgpack.decode(_ENCODER.encode(state), type=CoreState)
 
 
@@ -145,7 +146,7 @@ def copy_state(state: CoreState) -> CoreState:
 def decisions_of(effects: Sequence[Effect]) -> msgspec.Raw:
     """The effects of one input as MessagePack: a list of [kind, fields...].
 
-    Arguments and results of calls are omitted: they are in the inputs.
+    Arguments and results of calls are omitted: the inputs contain them.
     """
     return msgspec.Raw(_ENCODER.encode([_decision(effect) for effect in effects]))
 
@@ -194,7 +195,7 @@ def _text(kind: int, *fields: Any) -> str:
 
 
 def recorded_device(binding: DeviceBinding, driver: DriverInfo) -> RecordedDevice:
-    """A binding without what may be secret."""
+    """A binding without data that may be secret."""
     options = {
         name: value for name, value in binding.options.items() if isinstance(value, bool | int | float)
     }

@@ -28,7 +28,7 @@ from lfield.guard.recording.guard_segments import GuardSegment, read_segments
 from lfield.guard.recording.heartbeat_pulses import pulses_in
 from lfield.recording.turn_clocks import ReplayClock
 
-#: No decisions, as they are recorded.
+#: The recorded form of no decisions.
 _NOTHING = b"\x90"
 
 
@@ -46,9 +46,9 @@ class GuardDifference(msgspec.Struct, frozen=True):
 
 
 class GuardReplay(msgspec.Struct):
-    """The result: compared decisions and states (`digests`), how many differ, and the first that does.
+    """The result: compared decisions and states (`digests`), the number of differences, and the first one.
 
-    `cut` has the files with an end that is not readable, and why; `missing` those without any record.
+    `cut` has the files with an unreadable end, and the reasons; `missing` has the files without any record.
     """
 
     digests: int = 0
@@ -132,7 +132,7 @@ class _Replayer:
         return msgspec.msgpack.encode(self._core.mark_started(call))
 
     def compare_state(self, start: SegmentStart, path: Path) -> None:
-        """Compares the state with that at the start of the next segment."""
+        """Compares the state with the state at the start of the next segment."""
         recorded, replayed = encode_state(start.state), encode_state(self._core.state)
         texts = f"the state at the start of {path.name}", str(start.state), str(self._core.state)
         self._result.compare(recorded, replayed, self._difference(start.monotonic, *texts))

@@ -1,7 +1,7 @@
 """The files of a recording that one guard writes: its records, and the log of its wire.
 
-Both are written by threads, which the loop of the guard never waits for. A disk that is full, too slow or
-gone ends them with one log line each; the guard and its driver are not affected.
+Threads write both; the loop of the guard never waits for them. A disk that is full, too slow or missing ends
+each of them with one log line; the guard and its driver are not affected.
 """
 
 from __future__ import annotations

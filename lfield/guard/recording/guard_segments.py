@@ -23,14 +23,14 @@ from lfield.recording.folders import guard_folders, segments_of
 from lfield.recording.segments import SegmentEnd, SegmentReader
 from lfield.text.input_files import error_reason
 
-#: Why a file without a record is of no use.
+#: The reason why a file without a record is of no use.
 NO_RECORD = "it has no record"
 _DAMAGED = "it has a record that is damaged or of another version of lfield"
 
 
 class GuardSegment(msgspec.Struct, frozen=True):
-    """One file of a ring. `start` is None if not even its first record is complete; `end` says where the
-    readable part ends, and why.
+    """One file of a ring. `start` is None if not even its first record is complete; `end` states the end of
+    the readable part, and the reason.
     """
 
     path: Path
@@ -39,7 +39,7 @@ class GuardSegment(msgspec.Struct, frozen=True):
     end: SegmentEnd
 
     def follows(self, before: GuardSegment | None) -> bool:
-        """Whether it continues a complete segment of the same guard."""
+        """Whether this segment continues a complete segment of the same guard."""
         if before is None or before.start is None or self.start is None or before.end.reason:
             return False
         return before.start.guard == self.start.guard and before.start.number + 1 == self.start.number
@@ -48,7 +48,7 @@ class GuardSegment(msgspec.Struct, frozen=True):
 class TelemetryValue(NamedTuple):
     """A telemetry value that has changed; `time` is monotonic, `wall_time` is since 1970, in seconds.
 
-    `unit` is that of the manifest.
+    `unit` is the unit in the manifest.
     """
 
     time: float
@@ -66,7 +66,7 @@ def rings_in(folder: Path) -> dict[str, list[Path]]:
 
 
 def guard_problems(folder: Path) -> list[str]:
-    """What cannot be read of the recordings of guards in the folder of an incarnation, a sentence each."""
+    """The unreadable parts of the recordings of guards in the folder of an incarnation, a sentence each."""
     return [
         f"{segment.path.relative_to(folder)}: {segment.end.reason or NO_RECORD}"
         for paths in rings_in(folder).values()
@@ -76,7 +76,7 @@ def guard_problems(folder: Path) -> list[str]:
 
 
 def read_segments(paths: Iterable[Path]) -> Iterator[GuardSegment]:
-    """The segments in these files, in this order. One that cannot be read has no record."""
+    """The segments in these files, in this order. An unreadable segment has no record."""
     for path in paths:
         try:
             yield read_segment(path)
@@ -85,7 +85,7 @@ def read_segments(paths: Iterable[Path]) -> Iterator[GuardSegment]:
 
 
 def read_segment(path: Path) -> GuardSegment:
-    """One file. Raises RecordingError for one that is no segment, or of another format."""
+    """One file. Raises RecordingError for a file that is no segment, or that has another format."""
     try:
         with path.open("rb") as stream:
             reader = SegmentReader(stream)
@@ -110,7 +110,7 @@ def _decoded(record: bytes) -> GuardRecord:
 
 
 def _is_valid(start: SegmentStart, record: GuardRecord) -> bool:
-    """Whether pulses can be decoded, and telemetry is that of a device of the guard."""
+    """Whether pulses can be decoded, and telemetry is from a device of the guard."""
     if isinstance(record, Pulses):
         return math.isfinite(record.start) and len(record.steps) % 2 == 0
     if not isinstance(record, TelemetryRecord):
@@ -121,8 +121,8 @@ def _is_valid(start: SegmentStart, record: GuardRecord) -> bool:
 
 
 def telemetry_in(paths: Iterable[Path]) -> Iterator[TelemetryValue]:
-    """The telemetry in the files of one ring; where earlier files are missing, the values at the start of the
-    first that is present.
+    """The telemetry in the files of one ring; if earlier files are missing, it begins with the values at the
+    start of the first file.
 
     Raises RecordingError.
     """

@@ -1,8 +1,8 @@
 """A compact encoding of heartbeats: about ten bytes for each, and bit-exact.
 
 Most inputs of a guard are heartbeats and timers without a decision, some 25 a second. They are recorded
-together: a time, and for each the nanoseconds since the one before it, with the nanoseconds for which a
-heartbeat was under way, or TIMER. A time that is not a whole number of nanoseconds, as in virtual time, is
+together: a time, and for each input the nanoseconds since the previous one, with the nanoseconds for which a
+heartbeat was in transit, or TIMER. A time that is not a whole number of nanoseconds, as in virtual time, is
 recorded in full instead.
 """
 
@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from lfield.guard.recording.guard_inputs import HostBeat, TimerExpired
 from lfield.guard.recording.guard_records import Pulses
 
-#: Pulses in one record, at most: half a second of them.
+#: The maximum number of pulses in one record: half a second of them.
 MOST_PULSES = 10
-#: Instead of the time under way, for an expired timer.
+#: The value in place of the transit time, for an expired timer.
 TIMER = -1
 #: Nanoseconds in a second.
 _SECOND = 1e9
@@ -24,7 +24,7 @@ _LONGEST = 1 << 62
 
 
 class PulseCollector:
-    """Collects pulses until `record` returns them; `is_full` says that it should."""
+    """Collects pulses until `record` returns them; `is_full` says that `record` should be called."""
 
     def __init__(self) -> None:
         self._start, self._last = 0.0, 0
@@ -70,7 +70,7 @@ def pulses_in(record: Pulses) -> Iterator[tuple[float, HostBeat | TimerExpired]]
 
 
 def _exact(time: float) -> int | None:
-    """A time in nanoseconds, None if it is not exactly that."""
+    """A time in nanoseconds, None if it is no whole number of nanoseconds."""
     if not abs(time) < _LONGEST / _SECOND:
         return None
     nanoseconds = round(time * _SECOND)

@@ -1,6 +1,6 @@
 """A GuardCore with one time per input, whose inputs and decisions are recorded.
 
-The core reads its clock several times in one event. With one time for all of them, that time is an input
+The core reads its clock several times in one event. With one time for all readings, this time is an input
 like the others, and a replay is bit-exact.
 """
 
@@ -15,7 +15,7 @@ from lfield.recording.turn_clocks import TurnClock
 
 
 class RecordedCore:
-    """The core of a guard; `clock` is that of the core. Nothing is recorded without a `recorder`.
+    """The core of a guard; `clock` is the clock of the core. Without a `recorder`, no data is recorded.
 
     Each input reads the clock once. A recording is a sequence of segments, each of which begins with the
     state of the core and the accepted calls that the driver has not started.
@@ -23,7 +23,7 @@ class RecordedCore:
 
     def __init__(self, core: GuardCore, clock: TurnClock, recorder: GuardRecorder | None) -> None:
         self._core, self._clock, self._recorder = core, clock, recorder
-        #: When the next timer must expire; None without a deadline.
+        #: The time when the next timer must expire; None without a deadline.
         self.due = core.due
         #: The accepted calls that the driver has not started, by token: a segment must contain them.
         self._unstarted: dict[int, GuardCall] = {}
@@ -46,7 +46,7 @@ class RecordedCore:
         return effects
 
     def start_call(self, call: GuardCall) -> str:
-        """Why the driver must not start an accepted call because time has passed; '' when it starts now."""
+        """The reason why the driver must not start an accepted call any more; '' when the call starts now."""
         now = self._clock.latch()
         refusal = self._core.mark_started(call)
         if self._recorder is not None:

@@ -29,10 +29,10 @@ class DeviceReadings(Protocol):
     """The devices of a host, by name, from the telemetry that the host has."""
 
     def last(self, device: str, quantity: str) -> Observation | None:
-        """The last value of a telemetry quantity, however old; None for none yet."""
+        """The last value of a telemetry quantity, however old; None if there is none yet."""
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why a device cannot be called now; None when it can."""
+        """The reason why a device cannot be called now; None when it can."""
 
 
 class PortalReadings(Protocol):
@@ -43,8 +43,9 @@ class PortalReadings(Protocol):
 
 
 class AgentSampler:
-    """`agents` are those of the machine, `fields` the names of each one's device fields, `bound` the
-    attributes stated by the binding of each."""
+    """`agents` are those of the machine, `fields` the names of the device fields of each agent, `bound` the
+    attributes stated in its binding.
+    """
 
     def __init__(
         self,
@@ -84,7 +85,7 @@ class AgentSampler:
         return AgentCondition(trouble, {**samples, **bound}, unknown)
 
     def unavailability(self, agent: str) -> Unavailability | None:
-        """Why an agent of this host cannot be called now; None when it can."""
+        """The reason why an agent of this host cannot be called now; None when it can."""
         running = self._agents.get(agent)
         if running is None:
             return Unavailability("its host does not run it")
@@ -94,7 +95,7 @@ class AgentSampler:
         return next((trouble for trouble in found if trouble), None)
 
     def _sample(self, agent: str, live: LiveAttribute) -> AttributeSample | str:
-        """The value of a live attribute, or why there is none."""
+        """The value of a live attribute, or the reason why there is none."""
         who, what = (live.device, live.quantity) if live.device else (agent, f"{live.portal}()")
         observation = self._observation(agent, live)
         if isinstance(observation, str):

@@ -32,8 +32,9 @@ class PolledMachine(Protocol):
 
 
 class _Poll(Struct):
-    """A polled portal of an agent: the time of the last call, whether it is under way, and the last
-    result."""
+    """A polled portal of an agent: the time of the last call, whether this call is under way, and the last
+    result.
+    """
 
     asked_at: float
     is_open: bool = True
@@ -48,8 +49,9 @@ class AttributePoller:
         self._polls: dict[tuple[str, str], _Poll] = {}
 
     def last(self, agent: str, portal: str) -> Observation | str | None:
-        """The last result of the portal, with the age of its call; or the reason for a failure; None for none
-        yet."""
+        """The last result of the portal, with the age of its call; or the reason for a failure; None before
+        the first.
+        """
         question = self._polls.get((agent, portal))
         return None if question is None else question.result
 

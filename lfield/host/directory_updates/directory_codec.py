@@ -58,7 +58,7 @@ class DirectoryCodec:
         return AgentUpdate(self._numbers[agent], reason, lasting, facts, unknown, holder, held)
 
     def decode(self, host: str, report: DirectoryUpdate, now: float) -> DirectoryDelta:
-        """The changes of a host. Raises WireError for changes that are not that host's."""
+        """The changes of a host. Raises WireError for changes of agents of other hosts."""
         agents: dict[str, AgentCondition] = {}
         for entry in report.agents:
             agent = self._agents[entry.agent] if entry.agent < len(self._agents) else None
@@ -90,7 +90,7 @@ class DirectoryCodec:
 
 
 def value_source(of: Provenance) -> ValueSource:
-    """The provenance of a value as encoded; the usual one of its type is omitted."""
+    """The provenance of a value as encoded; the usual provenance of a type is omitted."""
     return "stated" if of == "nominal" else of
 
 

@@ -1,8 +1,8 @@
 """Event log of one incarnation of a host: numbered without a gap, in two bounded rings. Sans-IO.
 
 Frequent events (those that a program can cause at any rate) have a ring of their own, so they do not displace
-rare ones: a subscriber that was disconnected for long still receives every latch, stop and link event, and
-has lost at most hops and output.
+rare events: a subscriber that was disconnected for long still receives every latch, stop and link event, and
+loses at most hops and output.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class EventRing:
             self._free_bytes += its_size
 
     def after(self, number: int) -> Iterator[LoggedEvent]:
-        """Those with higher numbers, in order; read it before the next `append`."""
+        """The events with higher numbers, in order; read them before the next `append`."""
         kept = self._events
         for n in range(bisect_right(kept, number, key=_number), len(kept)):
             yield kept[n]
@@ -91,7 +91,7 @@ class EventLog:
 
     @property
     def last_dropped(self) -> int:
-        """The number of the newest dropped event: nothing after it is missing."""
+        """The number of the newest dropped event: no later event is missing."""
         return max(self._frequent.last_dropped, self._rare.last_dropped)
 
     def append(self, what: StateEvent, at: float, up: float, cause: int = 0, stamp: int = 0) -> int:

@@ -1,8 +1,8 @@
 """Token-bucket rate limit for each kind of frequent events, with a count of dropped ones. Sans-IO.
 
-A program may hop or call a portal a hundred thousand times a second; recording all of that would take longer
-than doing it. Only frequent kinds have a budget. An exhausted budget is detected at almost no cost: time is
-read only when budgets are refilled.
+A program may hop or call a portal a hundred thousand times a second; recording each of these events would
+take longer than the event itself. Only frequent kinds have a budget. An exhausted budget is detected at
+almost no cost: time is read only when budgets are refilled.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class RateLimit(NamedTuple):
     rate: float
 
 
-#: Lines and pieces of text; one that is longer than PIECE characters counts as several.
+#: Lines and pieces of text; a text that is longer than PIECE characters counts as several.
 PRINTS, PIECE = RateLimit(8192.0, 2000.0), 128
 #: Maximum rate of recorded hops with and without subscribers.
 MIGRATIONS, MIGRATIONS_UNOBSERVED = RateLimit(4000.0, 2000.0), RateLimit(50.0, 200.0)
@@ -70,7 +70,7 @@ class EventRateLimiter:
         self._filled = now
 
     def restart(self) -> None:
-        """A full budget, and nothing is counted as dropped."""
+        """Restore the full budget, and clear the count of dropped events."""
         self._tokens, self._filled, self._reported_at = self._allowed.burst, 0.0, 0.0
         self._skipped = Counter()
 

@@ -1,8 +1,8 @@
 """Event recorder: the only writer of a host's event log; assigns numbers and causes. Sans-IO.
 
-The cause of an agent's event is the last one of that agent here; of a portal event the last one of the call;
-of a device event the instruction, or the event that made the device safe. Frequent kinds have a budget each.
-Portal and device calls are recorded only while it is `detailed`.
+The cause of an agent's event is the last event of that agent here; of a portal event the last event of the
+call; of a device event the instruction, or the event that made the device safe. Frequent kinds have a budget
+each. Portal and device calls are recorded only while the recorder is `detailed`.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class _Instruction(Struct):
 class EventRecorder:
     """The event stream of one incarnation of a host, which starts now, and the causes of events.
 
-    `log` writes the findings about clocks. Each event has the timestamp of the hybrid clock, taken when it
-    is emitted or at the step of the hop that it is made of.
+    `log` writes the findings about clocks. Each event has the timestamp of the hybrid clock, taken when the
+    event is emitted, or at the step of the hop that the event is made of.
     """
 
     def __init__(self, clock: Clock, log: Callable[[LogLine], None] = lambda line: None) -> None:
@@ -78,11 +78,11 @@ class EventRecorder:
         self.detailed = False
         #: Called after every state event.
         self._on_event: Callable[[], None] | None = None
-        #: Called before each event that the core does not make: what an operator orders, and log lines.
+        #: Called before each event that the core does not make: orders of an operator, and log lines.
         self._on_shell_event: Callable[[StateEvent], None] | None = None
         self._limiters: list[EventRateLimiter] = []
         self._sources: list[Callable[[], None]] = []
-        #: When budgets are refilled next, on the monotonic clock.
+        #: The time when budgets are refilled next, on the monotonic clock.
         self.due = 0.0
         self._portals, self._commands = self.new_limiter(PORTALS), self.new_limiter(INSTRUCTIONS)
         self._prints = self.new_limiter(PRINTS)
@@ -103,7 +103,9 @@ class EventRecorder:
         self._on_event = on_event
 
     def watch_shell(self, on_event: Callable[[StateEvent], None] | None) -> None:
-        """Set the callback for events that the core does not make: a replay does not make them either."""
+        """Set the callback for events that the core does not make: a replay does not make these events
+        either.
+        """
         self._on_shell_event = on_event
 
     def _emit_of_shell(self, what: StateEvent) -> int:
@@ -112,7 +114,7 @@ class EventRecorder:
         return self.emit(what)
 
     def restart(self) -> None:
-        """Forget the events, and refill all budgets: a replay has gone to another time."""
+        """Forget the events, and refill all budgets: a replay has jumped to another time."""
         self.event_log = EventLog()
         self.due = 0.0
         for budget in self._limiters:
@@ -178,8 +180,9 @@ class EventRecorder:
     def emit_for_agent(
         self, agent: str, what: StateEvent, cause: int | None = None, at: float | None = None, stamp: int = 0
     ) -> int:
-        """Record an agent's event, caused by its last one or by `cause`; returns its number. `at` is its
-        time."""
+        """Record an agent's event, caused by the last event of the agent or by `cause`; returns its number.
+        `at` is its time.
+        """
         if at is None:
             self.drain()
             at = self._clock.monotonic()
@@ -222,7 +225,7 @@ class EventRecorder:
         self._calls[call] = _Call(agent, resource, portal, number, up)
 
     def discard_calls(self) -> None:
-        """Discard the calls under way: their ends will not be recorded."""
+        """Discard the calls under way: the ends of these calls will not be recorded."""
         self._calls.clear()
 
     def is_recorded(self, call: int) -> bool:
@@ -230,7 +233,7 @@ class EventRecorder:
         return call in self._calls
 
     def on_call_ended(self, call: int, how: Literal["done", "thrown", "lost"], detail: str = "") -> None:
-        """A portal call has ended; recorded only if its start was."""
+        """A portal call has ended; the end is recorded only if the start was."""
         known = self._calls.pop(call, None)
         if known is None:
             return
@@ -245,7 +248,9 @@ class EventRecorder:
             self.on_call_ended(call, "lost", reason)
 
     def on_device_call(self, agent: str, thread: int, portal: int, device: str, instruction: str) -> None:
-        """A thread of an agent gives a device an instruction, for the portal call of that number, or 0."""
+        """A thread of an agent gives a device an instruction, for the portal call of that number, 0 without
+        one.
+        """
         if not self._commands.try_acquire("asked"):
             return
         up = self.up
@@ -339,17 +344,17 @@ class EventRecorder:
         return max((n for d, n in self._last_of_device.items() if d.startswith(f"{agent}.")), default=0)
 
     def on_link_refused(self, host: str, reason: str) -> None:
-        """No link with a host can be made, for that reason; '' when it can again."""
+        """No link with a host can be made, for that reason; '' when a link is possible again."""
         self.emit(events.LinkRefused(host, truncate(reason)))
 
     def on_start_delayed(self, agents: Sequence[str], hosts: Sequence[str], held: str) -> None:
-        """Coordinators wait to be started; without any, the wait is over."""
+        """Coordinators wait to be started; without any coordinators, the wait is over."""
         self.emit(
             events.StartDelayed(truncate(", ".join(agents)), truncate(", ".join(hosts)), truncate(held))
         )
 
     def on_readers_changed(self, agents: Sequence[str]) -> None:
-        """These agents wait for a line of the operator's input."""
+        """The agents that wait for a line of the operator's input have changed."""
         self.emit(events.InputAwaited(truncate(", ".join(agents))))
 
     def on_emergency_stop(self, by: str, reason: str, *, lifted: bool) -> None:

@@ -1,14 +1,14 @@
 """One subscription to a host's events: which batches of states and telemetry are sent, and when. Sans-IO.
 
-A subscriber receives every state in order as long as the log has it. One that falls behind is not served from
-the oldest end, where it would lose more with every batch: it receives the rare events and the counts of the
-lost ones, and continues with live events. Telemetry is sent when there is room and no state is pending: only
-the newest value of each device and agent, with a count of the replaced ones. At most WINDOW batches are in
+A subscriber receives every state in order as long as the log has it. A slow subscriber is not served from the
+oldest end, where it would lose more with every batch: it receives the rare events and the counts of the lost
+events, and continues with live events. Telemetry is sent when there is room and no state is pending: only the
+newest value of each device and agent, with a count of the replaced values. At most WINDOW batches are in
 flight; a subscriber that does not read costs its host only this bookkeeping.
 
 On a slow path, batches leave most of the measured rate to other messages (`path_rate`). At most one batch
-with telemetry is in flight, and after one that was acknowledged late there is a pause of several times the
-delay beyond the round trip.
+with telemetry is in flight, and after a batch that was acknowledged late there is a pause of several times
+the delay beyond the round trip.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from lfield.wire.events import Event, TelemetryEvent
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import MAX_EVENTS, WINDOW, EventBatch, Subscribe
 
-#: Maximum bytes of the events of a batch, unless one alone has more; and of the first batch. The limit
-#: doubles with each acknowledgement on a path that is not slow: the first batches do not fill a slow one.
+#: Maximum bytes of the events of a batch, unless one event alone has more; and of the first batch. The limit
+#: doubles with each acknowledgement on a path that is not slow: the first batches do not fill a slow path.
 BATCH_BYTES, FIRST_BATCH_BYTES = 48 << 10, 4 << 10
 #: Minimum seconds between two batches; and the maximum, after which an empty batch shows that the host lives.
 MIN_INTERVAL, QUIET_INTERVAL = 0.05, 1.0
 #: After telemetry that was acknowledged late, the pause as a multiple of the delay, and its maximum in
 #: seconds. The gain of the smoothed round trip for samples above it.
 REST, LONGEST_REST, CREEP = 8.0, 10.0, 1 / 64
-#: A subscriber that has not acknowledged for so many seconds is dropped.
+#: The seconds without an acknowledgement after which a subscriber is dropped.
 READ_TIMEOUT = 60.0
 #: A telemetry sample: by subject, a value that changes with the content, and the content.
 TelemetrySample = Mapping[str, tuple[object, TelemetryEvent]]
@@ -39,7 +39,7 @@ TelemetrySample = Mapping[str, tuple[object, TelemetryEvent]]
 class EventSubscription:
     """A subscription by `request`, received `up` seconds after the start of the host.
 
-    `incarnation` is that of the host. All times are seconds since its start.
+    `incarnation` is that of the host. All times are seconds since the start of the host.
     """
 
     def __init__(self, event_log: EventLog, incarnation: int, request: Subscribe, up: float) -> None:
@@ -48,8 +48,8 @@ class EventSubscription:
             self._after = event_log.latest
         else:
             self._after = min(request.after, event_log.latest) if request.incarnation == incarnation else 0
-        #: The newest state when it started or fell behind; and the one after which it receives frequent
-        #: events.
+        #: The newest state when the subscription started or fell behind; and the state after which it
+        #: receives frequent events.
         self._caught_up_at, self._frequent_after = event_log.latest, 0
         self._snapshot = request.incarnation != incarnation or self._after < event_log.last_dropped
         #: Whether the last batch was a snapshot.
@@ -59,10 +59,10 @@ class EventSubscription:
         self._pending_telemetry: dict[str, Event] = {}
         self._known: dict[str, object] = {}
         self._every = 1.0 / request.telemetry if request.telemetry else 0.0
-        #: When telemetry is sampled next for it, None for never.
+        #: The time when telemetry is sampled next for this subscription, None for never.
         self.sample_due: float | None = up if self._every else None
-        #: When the unacknowledged batches were sent; the one of them with telemetry, 0 for none; the round
-        #: trip in seconds, and when telemetry may be sent again.
+        #: The times at which the unacknowledged batches were sent; the batch of them with telemetry, 0 for
+        #: none; the round trip in seconds; and the time when telemetry may be sent again.
         self._sent: dict[int, float] = {}
         #: For each of these batches, the bytes that the link had carried for subscriptions before it.
         self._positions: dict[int, int] = {}
@@ -71,7 +71,7 @@ class EventSubscription:
         self._full, self._is_full = 0, False
         self._round_trip: float | None = None
         self._rest_until = up
-        #: When the next batch may be sent.
+        #: The time when the next batch may be sent.
         self.next_batch_at = up
         self._last_ack_at = up
 
@@ -100,7 +100,7 @@ class EventSubscription:
         self._positions = {number: at for number, at in self._positions.items() if number > batch}
 
     def _rest(self, took: float) -> float:
-        """The pause of telemetry after a batch that was acknowledged after so many seconds."""
+        """The pause of telemetry after a batch whose acknowledgement took this number of seconds."""
         if self._round_trip is not None:
             return min(LONGEST_REST, REST * max(0.0, took - self._round_trip))
         # The next batch has no telemetry and measures the round trip.
@@ -112,7 +112,7 @@ class EventSubscription:
 
     @property
     def due(self) -> float:
-        """When `next_batch` is due if nothing else happens, or `has_gone` becomes true."""
+        """The time when `next_batch` is due without further events, or `has_gone` becomes true."""
         if self._is_behind:
             return self._last_ack_at + READ_TIMEOUT
         if not self._batch or self._snapshot or self._event_log.latest > self._after:
@@ -153,10 +153,10 @@ class EventSubscription:
         if self._is_behind or up < self.due:
             return None
         if self._acknowledged == self._batch:
-            # The acknowledgement is awaited from here on.
+            # The wait for the acknowledgement begins here.
             self._last_ack_at = up
         after, events, shown = self._after, list[Event](), None
-        # A subscriber receives something after a snapshot, however slowly it reads.
+        # Even a subscriber that reads slowly receives a batch after a snapshot.
         if self._snapshot or (not self._last_snapshot and self._skip_lost()):
             shown, self._snapshot, self._last_snapshot = snapshot(), False, True
         else:
@@ -172,7 +172,7 @@ class EventSubscription:
         )
 
     def on_sending(self, position: int) -> None:
-        """The last batch is sent on a link that has carried so many bytes for subscriptions."""
+        """The last batch is sent on a link that has carried `position` bytes for subscriptions."""
         self._positions[self._batch] = position
 
     def final_batch(self, at: float, up: float) -> EventBatch:

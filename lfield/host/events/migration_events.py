@@ -1,8 +1,7 @@
 """Events about the coordinators of a host: migrations, starts and ends. Sans-IO.
 
-A hop appends one tuple with the time to `hops` at each of its steps, and does nothing else then. The events
-are made from these tuples before the next event of another kind, when a subscriber reads the log, and four
-times a second.
+A hop only appends one tuple with the time to `hops` at each of its steps. The events are made from these
+tuples before the next event of another kind, when a subscriber reads the log, and four times a second.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ class _InFlight(Struct):
     """A hop that was sent and is not confirmed: its name, its event (0: in an earlier incarnation), and the
     time of sending on the monotonic clock.
 
-    `returned_at` is when the coordinator came back, which is equivalent to a confirmation.
+    `returned_at` is the time when the coordinator came back, which is equivalent to a confirmation.
     """
 
     to: str
@@ -58,7 +57,7 @@ class MigrationEvents:
         self._recorder, self._machine, self._here, self._hosts = recorder, machine, here, team.hosts
         self._known = frozenset(member.id for member in team.coordinators)
         self._limiter = recorder.new_limiter(MIGRATIONS, MIGRATIONS_UNOBSERVED)
-        #: The arrived coordinators that do not run yet: sender and header.
+        #: The coordinators that have arrived and do not run yet: sender and header.
         self._arriving: dict[str, tuple[str, Transfer]] = {}
         self._in_flight: dict[str, _InFlight] = {}
         #: The steps of hops for which no events are made yet, with the time of each on the monotonic clock.
@@ -100,7 +99,9 @@ class MigrationEvents:
         )
 
     def _on_arrived(self, at: float, host: str, header: Transfer) -> None:
-        """A coordinator arrived; whether it runs is decided later. Unknown ones are ignored."""
+        """A coordinator arrived; whether the coordinator runs is decided later. Unknown coordinators are
+        ignored.
+        """
         if header.agent in self._known:
             self._arriving[header.agent] = host, header
             if (away := self._in_flight.get(header.agent)) is not None:
@@ -119,14 +120,15 @@ class MigrationEvents:
         if (header.generation, header.sequence) != (generation, sequence):
             return
         if away is not None and away.generation == generation and away.sequence < header.sequence:
-            # A coordinator that returns at once is its own confirmation: its host sends no other.
+            # A coordinator that returns at once is its own confirmation: its host sends no other
+            # confirmation.
             self._emit_confirmed(name, away, away.returned_at, at, stamp)
         if is_reported:
             what = events.MigrationArrived(name, generation, header.sequence, host, header.size)
             self._recorder.emit_for_agent(name, what, cause=0, at=at, stamp=stamp)
 
     def _on_confirmed(self, at: float, effect: mobile.MarkMigrated, stamp: int) -> None:
-        """The sender has the confirmation: recorded for hops whose departure was."""
+        """The sender has the confirmation: recorded only for hops whose departure was recorded."""
         away = self._in_flight.get(effect.agent)
         if away is not None and (away.generation, away.sequence) == (effect.generation, effect.sequence):
             self._emit_confirmed(effect.agent, away, at - effect.held, at, stamp)
@@ -150,7 +152,7 @@ class MigrationEvents:
     # --- other events ---------------------------------------------------------------------------------
 
     def on_failed(self, agent: Agent, exception: str, reason: str, *, recovered: bool) -> None:
-        """A frozen coordinator is about to resume here with an exception, perhaps since it is `recovered`."""
+        """A frozen coordinator is about to resume here with an exception, perhaps as it is `recovered`."""
         self.drain()
         self._in_flight.pop(agent.id, None)
         if recovered:
@@ -185,7 +187,9 @@ class MigrationEvents:
                 self._on_terminated(effect)
 
     def _on_terminated(self, effect: mobile.DropTerminated) -> None:
-        """A coordinator has ended on another host: unless it was lost, what was sent has arrived there."""
+        """A coordinator has ended on another host: unless the coordinator was lost, the hops that this host
+        has sent have arrived there.
+        """
         away = self._in_flight.get(effect.agent)
         if away is not None and away.generation == effect.generation:
             if effect.outcome in TERMINATED:
@@ -194,7 +198,7 @@ class MigrationEvents:
             else:
                 del self._in_flight[effect.agent]
         if effect.host == self._here:
-            # Each termination is recorded where it happened; a loss by the host that detects it.
+            # Each termination is recorded where it happened; a loss is recorded by the host that detects it.
             self._recorder.on_agent_finished(effect.agent, effect.generation, effect.outcome, effect.detail)
 
     def _call_target(self, agent: Agent) -> tuple[str, str, str]:

@@ -1,7 +1,7 @@
 """The rate of a path, measured by the sender of small batches, and the pause that keeps to a share. Sans-IO.
 
-A batch that is acknowledged later than a small one took longer on a slow channel. The median of several such
-measurements ignores batches that were lost and repeated.
+On a slow channel, a batch is acknowledged later than a small one. The median of several such measurements
+ignores batches that were lost and repeated.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from statistics import median
 
 #: Measurements that are kept, and the additional bytes of a batch that gives one.
 SAMPLES, MIN_EXTRA = 9, 48
-#: Above this rate in bytes/s a path is not slow, and nothing is limited.
+#: Above this rate in bytes/s a path is not slow, and there is no limit.
 FAST_RATE = 100_000.0
-#: The share of the rate that events and telemetry of one subscription may use, and the bytes of a batch and
-#: its acknowledgement beside its content: headers of IP, TCP and TLS, and TCP's own acknowledgements.
+#: The share of the rate that events and telemetry of one subscription may use; and the bytes of a batch and
+#: its acknowledgement in addition to the content: headers of IP, TCP and TLS, and TCP's own acknowledgements.
 SHARE, OVERHEAD = 0.08, 280
 #: The longest pause in seconds, and the smallest limit of a batch in bytes.
 MAX_PAUSE, MIN_BATCH = 5.0, 1 << 10
@@ -30,7 +30,7 @@ class PathRate:
         self._seconds_per_byte: deque[float] = deque(maxlen=SAMPLES)
 
     def add(self, size: int, took: float) -> None:
-        """A batch of this size was acknowledged after so many seconds."""
+        """Add a batch of this size that was acknowledged after `took` seconds."""
         self._smallest, self._quickest = min(size, self._smallest), min(took, self._quickest)
         if size >= self._smallest + MIN_EXTRA:
             self._seconds_per_byte.append(max(0.0, took - self._quickest) / (size - self._smallest))
@@ -44,7 +44,7 @@ class PathRate:
         return 1.0 / each if each * FAST_RATE > 1.0 else None
 
     def batch_limit(self, most: int) -> int:
-        """The largest batch, of at most so many bytes, after which the longest pause is sufficient."""
+        """The largest batch, of at most `most` bytes, after which the longest pause is sufficient."""
         rate = self.rate
         return most if rate is None else min(most, max(MIN_BATCH, int(SHARE * rate * MAX_PAUSE)))
 

@@ -1,4 +1,6 @@
-"""The failure of a host, by a bug of lfield or a lack of memory: nothing more runs, and the process ends."""
+"""The failure of a host, by a bug of lfield or a lack of memory: no agent runs any more, and the process
+ends.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,7 @@ class HostFailures:
         self._on_failure()
         self.failure = HostFailure(self._name, error)
         self.failed.set()
-        # The bug may be in the log itself, which must not prevent the end either.
+        # The log itself may have the bug, and must not prevent the end of the process either.
         with suppress(Exception):
             self._recorder.on_host_stopping(str(self.failure), STOPPING)
             self._note(log_messages.HOST_FAILED.line(host=self._name, reason=self.failure.reason))
@@ -68,7 +70,9 @@ class HostFailures:
 
 
 def _scarce_resource(context: dict[str, Any]) -> str:
-    """What is exhausted, if a socket call in the event loop failed for that; '' for any other exception."""
+    """The exhausted resource, if a socket call in the event loop failed for lack of it; '' for any other
+    exception.
+    """
     error = context.get("exception")
     is_scarce = isinstance(error, OSError) and error.errno in SCARCE_ERRNOS and "socket" in context
     return str(error.strerror) if is_scarce and error is not None else ""

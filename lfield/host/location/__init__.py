@@ -1,1 +1,1 @@
-"""Which host holds a coordinator, as the other hosts report it. Pure."""
+"""The host that holds each coordinator, as the other hosts report it. Pure."""

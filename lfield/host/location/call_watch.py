@@ -2,8 +2,8 @@
 
 Sans-IO. The host of the coordinator asks the hosts of its calls, again every second and at each new link. A
 host answers at once for calls that have ended, and for the others when their results may be fetched. A host
-that has not been reachable for `unreachable_after` counts as one whose calls have ended: the coordinator that
-goes there gets an UnreachableResourceException for them.
+that has not been reachable for `unreachable_after` counts as a host whose calls have ended: the coordinator
+that goes there gets an UnreachableResourceException for these calls.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class CallWatch(Part):
         return {host for wait in self._waits.values() if self._is_current(wait) for host in wait.calls}
 
     def on_tick(self, now: float) -> None:
-        """Ask again, and give up hosts that are not reachable."""
+        """Ask again, and end the waits for hosts that are not reachable."""
         self._waits = {name: wait for name, wait in self._waits.items() if self._is_current(wait)}
         for wait in list(self._waits.values()):
             if now < wait.repeat_at:
@@ -97,7 +97,7 @@ class CallWatch(Part):
             self._out(OpenLink(host))
 
     def _is_given_up(self, host: str) -> bool:
-        """Whether a host was unlinked for so long that the departure for it fails at once."""
+        """Whether a host was unlinked for so long that a departure to it fails at once."""
         down_for = self._reachability.down_for(host)
         may_return = 0.0 < down_for < self._unreachable_after
         return bool(self._reachability.lost_reason(host)) and not may_return

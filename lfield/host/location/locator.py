@@ -16,7 +16,8 @@ from lfield.wire.coordinator_messages import CoordinatorState, Locate, Located
 
 
 class Locator(Part):
-    """Answers location queries of other hosts, and passes their answers on to the parts that use them.
+    """Answers location queries of other hosts, and passes the answers of other hosts on to the parts that use
+    them.
 
     States come from the coordinator records of this host, lease records from its leases. An answer without an
     `agents` list is complete, so only such answers count for the outcome of the mission.
@@ -40,7 +41,9 @@ class Locator(Part):
         self.answers.clear()
 
     def known_states(self, agents: Sequence[str] = ()) -> list[CoordinatorState]:
-        """The states of these coordinators that may be reported to other hosts; of all without `agents`."""
+        """The states of these coordinators that may be reported to other hosts; without `agents`, of all
+        coordinators.
+        """
         known = self._team.mobility.known_states()
         named = [row for row in known if row.agent in agents] if agents else known
         return self._team.write_ahead.durable_states(named, self._here)

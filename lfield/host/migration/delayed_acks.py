@@ -1,11 +1,11 @@
 """Delayed acknowledgements of arrivals: a coordinator that returns at once acknowledges its own arrival.
 Sans-IO.
 
-An acknowledgement only completes the sender's records. Until it arrives, the copy there is PREPARED: the
-coordinator may be here. It is sent after ACK_DELAY, or earlier together with other messages to that host
-about coordinators. A coordinator that returns to the host from which it came replaces its acknowledgement,
-also if the return must be on disk first; one that moves elsewhere may reach the sender from there, so the
-acknowledgement is sent before it leaves.
+An acknowledgement only completes the sender's records. Until it arrives, the sender's copy is PREPARED: the
+coordinator may be here. The acknowledgement is sent after ACK_DELAY, or earlier together with other messages
+to that host about coordinators. A coordinator that returns to the host from which it came replaces its
+acknowledgement, also if the return must be on disk first; a coordinator that moves elsewhere may reach the
+sender from there, so the acknowledgement is sent before it leaves.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from lfield.replication.transfer.effects import Send
 from lfield.wire.coordinator_messages import Transfer, TransferAccepted
 from lfield.wire.fields import MAX_DURATION
 
-#: Maximum delay of an acknowledgement in seconds: short in comparison with all that wait for it (leases, time
-#: limits, and the time after which a copy is in doubt).
+#: Maximum delay of an acknowledgement in seconds: short in comparison with all times that depend on it
+#: (leases, time limits, and the time after which a copy is in doubt).
 ACK_DELAY = 0.025
 
 
@@ -32,7 +32,8 @@ class DelayedAcks(Part):
         self, send: Callable[[Send], None], now: Callable[[], float], hybrid_clock: HybridClock
     ) -> None:
         self._send, self._now, self._hybrid_clock = send, now, hybrid_clock
-        #: By the start of the coordinator, with the due times; the first is due first.
+        #: The acknowledgements by the start of the coordinator, each with the time when it is due, in the
+        #: order of these times.
         self._waiting: dict[tuple[str, int], tuple[float, Send]] = {}
         self.due = None
 
@@ -49,7 +50,7 @@ class DelayedAcks(Part):
             self._update_due()
 
     def on_tick(self, now: float) -> None:
-        """Send those that are due."""
+        """Send the acknowledgements that are due."""
         while self.due is not None and self.due <= now:
             start, (due, answer) = next(iter(self._waiting.items()))
             del self._waiting[start]
@@ -69,7 +70,7 @@ class DelayedAcks(Part):
             self.due = None
 
     def flush(self, host: str = "") -> None:
-        """Send those for a host to which something else is sent now, or for all hosts."""
+        """Send the acknowledgements for a host to which another message is sent now, or for all hosts."""
         for start, (due, answer) in list(self._waiting.items()):
             if host in ("", answer.host):
                 del self._waiting[start]
@@ -80,8 +81,9 @@ class DelayedAcks(Part):
         self.due = next(iter(self._waiting.values()))[0] if self._waiting else None
 
     def _send_now(self, due: float, answer: Send) -> None:
-        """Send one, with the time for which it was delayed: the sender subtracts it from the duration of the
-        hop."""
+        """Send an acknowledgement with the duration of its delay, which the sender subtracts from the
+        duration of the hop.
+        """
         now = self._now()
         held, stamp = min(MAX_DURATION, max(0.0, now - due + ACK_DELAY)), self._hybrid_clock.tick(now)
         self._send(Send(answer.host, structs.replace(answer.message, held=held, stamp=stamp)))

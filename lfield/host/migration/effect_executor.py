@@ -99,7 +99,8 @@ class EffectExecutor:
             case mobile.MarkMigrated():
                 self._hops.append((HopStep.CONFIRMED, self._now(), effect, self._hybrid_clock.last))
                 agent = self._frozen_agent(effect.agent, effect.generation)
-                # It may have returned while this effect waited for the disk: its sequence is higher then.
+                # The coordinator may have returned while this effect waited for the disk: its sequence is
+                # higher then.
                 if agent is not None and agent.block.w[layout.W_SEQUENCE] <= effect.sequence:
                     self._machine.release(agent)
             case _:
@@ -138,7 +139,7 @@ class EffectExecutor:
         self._machine.resume(agent, kind, reason, called[0].id if called else "", recovered=recovered)
 
     def _frozen_agent(self, identity: str, generation: int) -> Agent | None:
-        """The frozen copy of a coordinator that is here, if it is of that start."""
+        """The frozen copy of a coordinator that is here, if the copy is of that start."""
         agent = self._agents.get(identity)
         return agent if agent and agent.frozen and agent.generation == generation else None
 

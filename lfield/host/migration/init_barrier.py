@@ -1,7 +1,7 @@
 """Barrier before portal calls: a coordinator waits until the `init` of a resource reaches its first pause.
 
 Sans-IO. A portal call cannot start before that. The wait is usually short; an `init` that homes an axis takes
-a minute, and one with an endless computation never reaches a pause.
+a minute, and an `init` with an endless computation never reaches a pause.
 
 `lfield ps` therefore shows the wait as the state of the coordinator, and the log has one line for each wait
 that is longer than `REPORT_AFTER`.
@@ -30,12 +30,12 @@ class InitBarrier(Part):
 
     def __init__(self, agents: Mapping[str, Agent], log: Callable[[LogLine], None]) -> None:
         self._agents, self._log = agents, log
-        #: When each wait was first noticed, by coordinator and resource, and which of them were logged.
+        #: The time when each wait was first noticed, by coordinator and resource; the waits that were logged.
         self._since: dict[tuple[str, str], float] = {}
         self._reported: set[tuple[str, str]] = set()
 
     def wait_reason(self, coordinator: Agent) -> str:
-        """What a coordinator waits for, in a few words; '' if it is for no init."""
+        """A short text about the init that a coordinator waits for; '' if it waits for none."""
         found = (resource for caller, resource in self._waiting_pairs() if caller == coordinator.id)
         return next((f"waits for the init of {resource}" for resource in found), "")
 

@@ -1,7 +1,7 @@
 """Write-ahead queue of a host: effects wait for the journal writes that they depend on. Sans-IO.
 
 The effects of one coordinator keep their order, so no effect overtakes a record on which it depends; other
-coordinators do not wait. Lazy records are written together with the next ones that are needed.
+coordinators do not wait. Lazy records are written together with the next records that are needed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from lfield.wire.coordinator_messages import TERMINATED, CoordinatorState
 LAZY_DELAY = 1.0
 
 
-#: The number of terminations remembered of each coordinator; every run makes one.
+#: The number of terminations remembered of each coordinator; every run makes one termination.
 MAX_ENDINGS = 8
 
 
@@ -63,7 +63,7 @@ class WriteAheadQueue:
         self._number = 1
         self._blocked: dict[str, deque[tuple[int, Effect]]] = {}
         self._urgent = False
-        #: When lazy records are written at the latest, None without any; seconds on the host's clock.
+        #: The latest time for writing the lazy records, None without any; seconds on the host's clock.
         self.due: float | None = None
 
     def put(self, effects: Iterable[Effect], now: float) -> list[Effect]:
@@ -75,7 +75,8 @@ class WriteAheadQueue:
                 if not effect.is_lazy:
                     self._blocked.setdefault(effect.agent, deque()).append((self._number, effect))
             elif isinstance(effect, TerminateCopy | DropTerminated):
-                # Stopping a copy needs no record: it would otherwise run on, although it has ended here.
+                # Stopping a copy needs no record: otherwise the copy would continue to run, although it has
+                # ended here.
                 self._discard(effect.agent, effect.generation)
                 ready.append(effect)
             elif waiting := self._blocked.get(_agent(effect)):
@@ -85,7 +86,9 @@ class WriteAheadQueue:
         return ready
 
     def _discard(self, agent: str, generation: int) -> None:
-        """A start is stopped: discard waiting effects that resume or send it; reports about it stay."""
+        """A start is stopped: discard waiting effects that resume or send it; reports about the start are
+        kept.
+        """
         if waiting := self._blocked.get(agent):
             kept = (entry for entry in waiting if _generation(entry[1]) != generation)
             self._blocked[agent] = deque(kept)
@@ -95,11 +98,11 @@ class WriteAheadQueue:
         return agent in self._blocked
 
     def durable_states(self, rows: Iterable[CoordinatorState], here: str) -> list[CoordinatorState]:
-        """The states for other hosts: a start that terminated here, on `here`, counts as running until that
-        is on disk.
+        """The states for other hosts: a start that terminated on this host, `here`, counts as running until
+        the termination is on disk.
 
-        After a crash it would be resumed here. If others knew of the termination, a majority could have it on
-        disk by then, and it would be final.
+        After a crash this host would resume the start. If other hosts knew of the termination, a majority
+        could have it on disk by then, and it would be final.
         """
         return [self._durable_state(row, here) for row in rows]
 
@@ -125,7 +128,7 @@ class WriteAheadQueue:
         return self._batch(now)
 
     def delete_records(self, keys: Iterable[RecordKey], now: float) -> int:
-        """Queue deletions, after the records before; returns the number of their batch."""
+        """Queue deletions, after the records that are queued; returns the number of their batch."""
         for key in keys:
             self._records.pop(key, None)
             self._deleted.add(key)
@@ -198,7 +201,7 @@ class JournalContents:
         )
         #: Whether this host is paused.
         self.paused = any(page.on for page in records if isinstance(page, PauseFlag))
-        #: Why an emergency stop locks the devices here, '' for none.
+        #: The reason why an emergency stop locks the devices here, '' for none.
         self.stopped = next((page.reason for page in records if isinstance(page, EmergencyStopFlag)), "")
         #: The last start that was made here, None if none is recorded.
         self.last_start = next((page.count for page in records if isinstance(page, StartCounter)), None)
@@ -212,14 +215,14 @@ class JournalContents:
     def is_mission_over(self, coordinators: Collection[str], known: Iterable[CoordinatorState]) -> bool:
         """Whether the mission has ended as far as is known here: every coordinator of the team, in this run.
 
-        One that has not been here yet may be alive all the same, wherever its home is.
+        A coordinator that has not been here yet may still be alive, on any host.
         """
         rows = [row for row in known if (row.agent, row.generation) not in self._earlier]
         ended = {row.agent for row in rows if row.state == "EXITED"}
         return ended.issuperset(coordinators) and all(row.state == "EXITED" for row in rows)
 
     def restart_blocker(self, agent: str, known: Iterable[CoordinatorState]) -> str:
-        """Why a coordinator of this host is not started again, '' if it may be."""
+        """The reason why a coordinator of this host is not started again, '' if it may be."""
         rows = [row for row in known if row.agent == agent]
         if any(page.agent == agent for page in self.parked):
             return "waits for the program and deployment that it belongs to"
@@ -229,7 +232,7 @@ class JournalContents:
             if row.state == "RUN":
                 return "goes on"
         last = max(rows, key=lambda row: row.generation, default=None)
-        # An earlier one ended in an earlier run: the recorded start was not made.
+        # An earlier start ended in an earlier run: the recorded start was not made.
         if last and self.is_run_open and last.generation >= (self.last_start or 0):
             return f"has ended ({last.outcome}) in the current run; --fresh starts another one"
         return ""
@@ -249,9 +252,9 @@ def _outdated_endings(copies: Iterable[CoordinatorRecord]) -> list[CoordinatorRe
 
 
 def downtime(times: Mapping[RecordKey, float], clock: Clock, copy: CoordinatorCopy) -> float:
-    """For how many seconds a coordinator was only on disk, according to the wall clock; else 0.
+    """The seconds for which a coordinator was only on disk, by the wall clock; 0 without a record.
 
-    `times` is when each record was written, in Unix time.
+    `times` has the Unix time at which each record was written.
     """
     kept = times.get(RecordKey("copy", copy.agent, copy.generation))
     return 0.0 if kept is None else max(0.0, clock.time() - kept)

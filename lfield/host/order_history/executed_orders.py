@@ -1,4 +1,5 @@
-"""Replay protection of stop and pause orders: each is executed once, and none that may be old. Sans-IO.
+"""Replay protection of stop and pause orders: each order is executed once, and an order that may be old is
+never executed. Sans-IO.
 
 No clock is involved. A host has two random nonces, its `Epochs`, and an order names one of them:
 
@@ -7,9 +8,9 @@ No clock is involved. A host has two random nonces, its `Epochs`, and an order n
     | stop, pause    | `hold` | each incarnation of the host, each executed lift             |
     | lift, resume   | `end`  | each incarnation, each executed stop or pause, each lock-out |
 
-A replayed stop that was lifted names an epoch that is over, and a lift cannot end what was ordered after it.
-An order with another epoch is not executed: the sender is challenged to name the present one. Ids may be
-forgotten: within the same epoch nothing has ended the stop or pause of such an order.
+A replayed stop that was lifted names an epoch that is over, and a lift cannot end a stop that was ordered
+after it. An order with another epoch is not executed: the sender is challenged to name the present one. Ids
+may be forgotten: within the same epoch nothing has ended the stop or pause of such an order.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Literal, cast
 from lfield.journal.records import EmergencyStopFlag, PauseFlag, Record
 from lfield.wire.order_messages import EPOCH_SIZE, HOLDS, UNKNOWN_EPOCH, Epochs, OrderKind
 
-#: What a lift or resume order ends.
+#: The stop or pause that a lift or resume order ends.
 OrderEffect = Literal["stop", "pause"]
 #: The state of an order, or the required action.
 OrderStanding = Literal["new", "holds", "ended", "done", "old", "unknown"]
@@ -30,14 +31,15 @@ MAX_ORDERS = 128
 
 
 def effect_of(kind: OrderKind) -> OrderEffect:
-    """What an order begins or ends."""
+    """The stop or pause that an order begins or ends."""
     return "stop" if kind in ("stop", "lift") else "pause"
 
 
 class ExecutedOrders:
     """The orders that one host has executed. `random_bytes(n)` returns n random bytes.
 
-    `restored` are the ids of the last orders before this incarnation, each with whether it is still in force.
+    `restored` are the ids of the last orders before this incarnation, each with a flag that says whether it
+    is still in force.
     """
 
     def __init__(
@@ -51,7 +53,9 @@ class ExecutedOrders:
 
     @staticmethod
     def restored_orders(records: Iterable[Record]) -> dict[bytes, tuple[OrderKind, bool]]:
-        """The ids of the last orders in the records of a journal, each with whether it is still in force."""
+        """The ids of the last orders in the records of a journal, each with a flag that says whether it is
+        still in force.
+        """
         found: dict[bytes, tuple[OrderKind, bool]] = {}
         for page in records:
             if isinstance(page, EmergencyStopFlag) and page.order:
@@ -63,9 +67,9 @@ class ExecutedOrders:
     def standing_of(self, kind: OrderKind, id: bytes, epoch: bytes) -> OrderStanding:
         """Classify a received order.
 
-        `new`: execute it. `holds`, `ended` and `done`: it was executed, and is only confirmed again; a stop
-        or pause is still in force or has ended, a lift is done. `old`: it names an epoch that is over, and
-        `unknown` none.
+        `new`: execute it. `holds`, `ended` and `done`: it was executed, and is only confirmed again; `holds`
+        is a stop or pause in force, `ended` one that has ended, `done` a lift. `old`: the order names an
+        epoch that is over; `unknown`: it names no epoch.
         """
         known = self._orders.get(id)
         if known is not None:
@@ -97,10 +101,10 @@ class ExecutedOrders:
             self.on_lock_out()
 
     def on_lock_out(self) -> None:
-        """A device is locked out, which holds like a stop: no order that was given before lifts it."""
+        """A device is locked out, which acts like a stop: no earlier order lifts it."""
         self.epochs = Epochs(self.epochs.hold, self._new_epoch())
 
     def _new_epoch(self) -> bytes:
         drawn = self._random_bytes(EPOCH_SIZE)
-        # No order may name it by chance.
+        # No order may name this epoch by chance.
         return drawn if drawn != UNKNOWN_EPOCH else self._new_epoch()

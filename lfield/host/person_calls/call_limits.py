@@ -8,7 +8,7 @@ RUNNING_OF_ONE, RUNNING = 8, 64
 RATE_OF_ONE, RATE = 20.0, 100.0
 #: Seconds of calls that may be made at once.
 BURST = 2.0
-#: Callers that are counted separately; beyond that the one that is idle longest is removed.
+#: Callers that are counted separately; beyond that the caller that is idle longest is removed.
 MAX_CALLERS = 256
 
 
@@ -36,12 +36,14 @@ class CallLimits:
         self._callers: dict[str, TokenBucket] = {}
 
     def refusal(self, caller: str, running: int, own: int, now: float) -> str:
-        """Why a caller may not start a call while so many `running` ones exist, `own` ones of the caller."""
+        """The reason why a caller may not start a call; `running` calls exist, `own` of them are the
+        caller's.
+        """
         if own >= RUNNING_OF_ONE:
             return f"{caller} has {own} calls running on this host, the most of one caller"
         if running >= RUNNING:
             return f"{running} calls of persons are running on this host, the most of all callers"
-        # The own rate first: a caller over it takes nothing from others.
+        # The caller's own rate is checked first: a caller above it uses no tokens of the shared rate.
         if not self._bucket(caller, now).try_acquire(now):
             return f"{caller} calls more than {RATE_OF_ONE:g} portals per second of this host"
         if not self._all.try_acquire(now):

@@ -2,7 +2,7 @@
 
 A call is identified by the id that its client has drawn. The id is kept longer than the client repeats the
 call, so a repetition never starts it again; the results of the last calls are kept to answer repetitions. An
-incarnation of the host that did not start a call does not start it when an earlier one may have.
+incarnation of the host does not start a call that an earlier incarnation may have started.
 
 Checked before a call starts, as for a coordinator: access rules, pause, reservations, and in a mission with
 leases the lease of this host.
@@ -35,7 +35,7 @@ from lfield.wire.person_calls.portal_call_messages import (
     RefusalCode,
 )
 
-#: Seconds for which an id is kept after the time limit of its call: longer than a client repeats it.
+#: Seconds for which an id is kept after the time limit of its call: longer than a client repeats the call.
 KEEP_ID = 120.0
 #: The most ids that are kept, of all callers and of one, and the most bytes of the results.
 MAX_IDS, MAX_IDS_OF_ONE, MAX_RESULTS = 32768, 4096, 4 << 20
@@ -54,7 +54,7 @@ class PersonCaller(Struct, frozen=True):
 
 
 class PersonCall(Struct, eq=False):
-    """A call: until it starts it may wait for a reservation; `result` when it has ended."""
+    """A call. Before its start it may wait for a reservation; `result` is set when it has ended."""
 
     order: PortalCallRequest
     caller: PersonCaller
@@ -66,7 +66,9 @@ class PersonCall(Struct, eq=False):
 
     @property
     def start_key(self) -> tuple[str, int]:
-        """Its key in the queue of a reserved resource; the space occurs in no name of a coordinator."""
+        """The key of the call in the queue of a reserved resource. No name of a coordinator contains a space,
+        so no coordinator has this key.
+        """
         return self.caller.label, self.number
 
 
@@ -90,13 +92,13 @@ class PersonCalls(Part):
         self._hosts = context.mission.team.hosts
         self._team, self._leases, self._reservations, self._machine = team, leases, reservations, machine
         self._clock, self._out, self._log = context.clock, context.effects.append, context.log
-        #: All calls of which the id is kept, and those that have not ended, by id.
+        #: All calls whose ids are kept, and the calls that have not ended, by id.
         self._calls: dict[bytes, PersonCall] = {}
         self._active: dict[bytes, PersonCall] = {}
         #: A heap of the times when ids are dropped, and the number of ids by caller.
         self._drops: list[tuple[float, bytes]] = []
         self._id_counts: Counter[str] = Counter()
-        #: The ended calls with a kept result, in order, and the bytes of all of them.
+        #: The ended calls with a kept result, in order, and the bytes of all these results.
         self._results: deque[PersonCall] = deque()
         self._result_bytes = 0
         self._limits = CallLimits(context.clock.monotonic())
@@ -152,7 +154,7 @@ class PersonCalls(Part):
 
     @property
     def kept_ids(self) -> int:
-        """The number of calls of which the id is kept."""
+        """The number of calls whose ids are kept."""
         return len(self._calls)
 
     def _has_space(self, caller: PersonCaller) -> bool:
@@ -162,7 +164,7 @@ class PersonCalls(Part):
     def _refusal(
         self, order: PortalCallRequest, caller: PersonCaller, now: float
     ) -> tuple[RefusalCode, str] | None:
-        """Why a call may not start, by code and sentence."""
+        """The reason why a call may not start, by code and sentence."""
         if self._team.is_halted:
             return "stopping", f"{self._here} is stopping"
         member = self._members.get(order.resource)
@@ -187,7 +189,7 @@ class PersonCalls(Part):
     # --- the life of a call ---------------------------------------------------------------------------
 
     def _start(self, call: PersonCall) -> None:
-        """Start it, or let it wait for the reservation of its resource."""
+        """Start the call, or let it wait for the reservation of its resource."""
         order, machine = call.order, self._machine
         try:
             resource = self._live_resource(self._members[order.resource])
@@ -222,7 +224,7 @@ class PersonCalls(Part):
         return resource
 
     def _poll_waiting(self) -> None:
-        """Start the calls that have waited for a reserved resource, or end those that are denied."""
+        """Start the calls that have waited for a reserved resource, or end the calls that are denied."""
         for start in self._reservations.drain_retried_persons():
             for call in [each for each in self._active.values() if each.start_key == start]:
                 if call.pending is None:
@@ -297,7 +299,7 @@ class PersonCalls(Part):
         self._drop_old_results()
 
     def _refuse(self, order: PortalCallRequest, caller: PersonCaller, kind: RefusalCode, why: str) -> None:
-        """Refuse a call of which no id is kept: it had no effect."""
+        """Refuse a call whose id is not kept: the call had no effect."""
         self._note_refusal(order, caller, why)
         self._answer(PortalCallResult(order.id, "refused", kind, truncate(why)))
 
@@ -311,7 +313,7 @@ class PersonCalls(Part):
         self._out(AnswerPersonCall(found))
 
     def _drop_old_results(self) -> None:
-        """Keep the newest results only; the ids of the others stay."""
+        """Keep the newest results only; the ids of the other calls are kept."""
         while self._result_bytes > MAX_RESULTS:
             self._drop_result(self._results.popleft())
 

@@ -30,7 +30,7 @@ class HostCredentials:
     """The keys of a host. A newer revocation list is stored in the first writable one of `folders`.
 
     Keys that expire within `min_lifetime` seconds are refused. The bundle `accepted_bundle` needs no
-    signature: it was verified by the process that made the keys for this run.
+    signature: the process that made the keys for this run has verified it.
     """
 
     keys: Keys
@@ -59,10 +59,10 @@ def admission_for(
 ) -> tuple[TlsIdentity, CertificateAdmission]:
     """The transport of a host's links, and its admission policy.
 
-    `times` are those in its journal: lower bounds of the current time. A time after the expiry of the keys is
-    due to a wrong clock, or the keys will turn out to be expired. `on_verified` receives certificates as in
-    `TlsIdentity`. `signed` returns the time of the bundle's signature, 0.0 without one; called
-    for expired keys only.
+    `times` are the times in its journal: lower bounds of the current time. A time after the expiry of the
+    keys is due to a wrong clock, or the keys are expired. `on_verified` receives certificates as in
+    `TlsIdentity`. `signed` returns the time of the bundle's signature, 0.0 without one; called for expired
+    keys only.
 
     Raises KeysError for keys of another host, revoked keys, and keys that expire too soon.
     """
@@ -83,7 +83,8 @@ def admission_for(
 def require_signature(
     mission: Mission, proof: HostCredentials, admission: CertificateAdmission, records: Collection[Record]
 ) -> Acceptance:
-    """The bundle of a mission with its signer, if this host accepts it; `records` are those in its journal.
+    """The bundle of a mission with its signer, if this host accepts it; `records` are the records in its
+    journal.
 
     Raises SignatureError.
     """
@@ -101,7 +102,7 @@ def require_signature(
 
 
 def validate_startup(mission: Mission, host: str, credentials: HostCredentials | None, clock: Clock) -> None:
-    """Check that a host without stored state may start, before anything is created.
+    """Check that a host without stored state may start, before any file is created.
 
     Raises UsageError, KeysError and SignatureError.
     """

@@ -21,12 +21,13 @@ RETRY_AFTER = 1.0
 
 
 def newest_crl(keys: Keys, folders: Sequence[Path]) -> tuple[RevocationList, bytes]:
-    """The list with the highest number of the keys and these folders, with all certificates that any revokes.
+    """The list with the highest number of the keys and these folders, with all certificates that any of them
+    revokes.
 
     Raises KeysError.
     """
-    # The parser is large, and loaded before anything moves: a list that arrives in flight must not cause a
-    # stall.
+    # The parser is large, and is loaded before any device moves: a list that arrives in flight must not cause
+    # a stall.
     from lfield.authority.certificate_reader import revoked_in
 
     read = [(revoked_in(keys.revoked, keys.authority), keys.revoked)] if keys.revoked else []

@@ -47,7 +47,7 @@ from lfield.text import log_messages
 if TYPE_CHECKING:
     from lfield.host.stop_orders.datagram_shell import OrderCredentials
 
-#: Seconds of stopping after which the log says what the stop waits for.
+#: Seconds of stopping after which the log names the reason of the wait.
 FLUSH_TIMEOUT = 1.0
 #: Additional seconds, beyond those of its devices, for a failed host to end in order.
 LAST_RESORT = 10.0
@@ -71,14 +71,14 @@ async def run_host(
     as_json: bool = False,
     record: RecordingTarget | None = None,
 ) -> int:
-    """Run a host; returns the exit status (exit_status.py). `lost_after` None runs until it is stopped.
+    """Run a host; returns the exit status (exit_status.py). With `lost_after` None the host runs until it is
+    stopped.
 
     `journal` is closed at the end; without one the host starts its coordinators after the reports of all
     hosts. `control_socket` is the address for local commands. `engine` selects the engine, overriding the
-    bindings. Its `RunResult` is written to `result_fd`. Without `credentials` it serves local
-    commands only. `as_json` writes the log as JSON lines to stdout. `record` is where it is recorded.
-
-    Raises AddressError, DevicesError and KeysError when it cannot start.
+    bindings. The `RunResult` of the host is written to `result_fd`. Without `credentials` the host serves
+    local commands only. `as_json` writes the log as JSON lines to stdout. `record` is the destination of its
+    recording. Raises AddressError, DevicesError and KeysError when it cannot start.
     """
     clock = SystemClock()
     logbook = JsonLogbook(name, clock) if as_json else Logbook()
@@ -134,7 +134,7 @@ def _watch_parent(host: Host, signals: ShutdownSignals) -> None:
 def _recorded_form(
     mission: Mission, record: RecordingTarget | None, name: str, logbook: Logbook
 ) -> tuple[Mission, RecordingTarget | None]:
-    """The mission to run, and where it is recorded. The recorder does not prevent a start."""
+    """The mission to run, and the destination of its recording. The recorder does not prevent a start."""
     if record is None:
         return mission, None
     try:
@@ -168,7 +168,7 @@ def _identity(
     if credentials is None:
         require_credentials(name, mission.team.hosts)
         return _Identity("", None, AdmissionPolicy(), None), mission
-    # Both load cryptography, which a host without keys does not need.
+    # Both imports load cryptography, which a host without keys does not need.
     from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner
     from lfield.host.stop_orders.datagram_shell import OrderCredentials
 
@@ -194,8 +194,8 @@ async def run_until_exit(
 ) -> int:
     """Run a host until its mission ends, a stop is requested or it fails; returns the exit status.
 
-    `started` is called when it is up, `ended` with the status before the journal says that the run has ended:
-    a service would begin a new run after a host that was killed in between.
+    `started` is called when the host is up, `ended` with the status before the journal says that the run has
+    ended: a service would begin a new run after a host that was killed in between.
     """
     asyncio.get_running_loop().set_exception_handler(host.on_unhandled)
     life = asyncio.ensure_future(_run_mission(host, lost_after, started))
@@ -276,7 +276,7 @@ async def _run_mission(host: Host, lost_after: float | None, started: Callable[[
 
 
 def _outcome_status(host: Host, fate: CoordinatorOutcome) -> int:
-    """The exit status for an outcome; the log has what other hosts could not report."""
+    """The exit status for an outcome; the log has the outcomes that other hosts could not report."""
     match fate.outcome:
         case "done":
             return exit_status.DONE

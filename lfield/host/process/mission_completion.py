@@ -2,8 +2,8 @@
 
 While all hosts are linked, terminations are announced to every host. While a host is missing, was restarted
 or has ended, the reachable hosts are queried, a few at a time. The wait lasts as long as any host has contact
-with the missing one. A host with proof of a loss announces it before it stops, so that the others are equally
-certain.
+with the missing host. A host with proof of a loss announces it before it stops, so that the others are
+equally certain.
 """
 
 from __future__ import annotations
@@ -33,16 +33,17 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 MAX_PARALLEL_QUERIES = 8
 #: Seconds for which an announced loss is valid without a query: the coordinator may be started again later.
 STATUS_MAX_AGE = 1.5
-#: A failover takes at most so many seconds and so many leases after the interval of its coordinator.
+#: The maximum duration of a failover after the interval of its coordinator: seconds, and leases in addition.
 FAILOVER_TIME, FAILOVER_LEASES = 5.0, 3.0
 
 
 async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
-    """The outcomes of all coordinators. A host without contact for `lost_after` seconds is not waited for.
+    """The outcomes of all coordinators. The function does not wait for a host without contact for
+    `lost_after` seconds.
 
-    One that has not started yet is waited for as long as portal calls to it are, if that is longer. A
-    coordinator that has not started yet is waited for until a host that its start needs has certainly ended,
-    and one that a majority may recover until a failover would have ended.
+    It waits for a host that has not started yet as long as a portal call to that host waits, if that is
+    longer. It waits for a coordinator that has not started yet until a host that its start needs has
+    certainly ended, and for a coordinator that a majority may recover until a failover would have ended.
     """
     unmet = max(lost_after, host.options.unreachable_after)
     homes = {member.id: host.team.hosts[member.host] for member in host.team.initial_coordinators}
@@ -82,17 +83,17 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
 class _StartedByOthers:
     """The coordinators that others have started: the mission lasts until they have ended, too.
 
-    `homes` has the home of each coordinator that is waited for. Those that run or have run are added to it:
-    the outcome of the last run of each counts.
+    `homes` has the home of each coordinator that the mission waits for. Coordinators that run or have run are
+    added to `homes`: the outcome of the last run of each counts.
     """
 
     def __init__(self, host: Host, homes: dict[str, str]) -> None:
         self._host, self._homes = host, homes
 
     async def find_more(self) -> bool:
-        """Query the hosts, when all that are waited for have ended; whether there are others.
+        """Query the hosts when all known coordinators have ended; returns whether there are others.
 
-        A home has made a start before the coordinator that asked for it has ended, so it reports it.
+        A home makes a start before the coordinator that asked for it ends, so the home reports this start.
         """
         team = self._host.team
         waiting = team.startable.keys() - self._homes.keys()
@@ -109,9 +110,10 @@ class _StartedByOthers:
 
 
 class _PendingRestarts:
-    """Terminations from journals: they belong to an earlier run if a home starts a new one.
+    """Terminations from journals, which belong to an earlier run if a home starts a new one.
 
-    A person may have to lift a stop first, or to start another host, so no time says that it does not.
+    A person may first have to lift a stop, or to start another host, so there is no time limit for the new
+    start.
 
     `homes` has the home of each coordinator; `lost_after` and `unmet` are as in
     `Membership.unavailable_hosts`.
@@ -152,11 +154,11 @@ class _PendingFailovers:
 
     def __init__(self, host: Host) -> None:
         self._host = host
-        #: Since when the outcome of each coordinator is unknown.
+        #: The time since when the outcome of each coordinator is unknown.
         self._since: dict[str, float] = {}
 
     def pending_agents(self, found: Mapping[str, CoordinatorOutcome]) -> set[str]:
-        """Those of unknown outcome for which a failover would not have ended yet."""
+        """The coordinators of unknown outcome whose failover may still be under way."""
         leases, now = self._host.core.leases, self._host.clock.monotonic()
         unknown = {agent for agent, fate in found.items() if fate.outcome == "unheard"}
         self._since = {agent: self._since.get(agent, now) for agent in unknown & set(leases.leased_agents)}
@@ -194,8 +196,8 @@ async def _broadcast_outcomes(host: Host, found: Collection[CoordinatorOutcome])
 
 
 async def _wait_for_finality(host: Host, lost_after: float) -> None:
-    """Wait until terminations here are final, so that no host recovers them; without a lease, `lost_after`
-    seconds.
+    """Wait until terminations here are final, so that no host recovers the coordinators; without a lease,
+    wait `lost_after` seconds.
 
     A host without a lease cannot prevent a recovery.
     """
@@ -230,7 +232,7 @@ async def _query_states(host: Host) -> Mapping[str, Sequence[CoordinatorState]]:
         if first:
             await asyncio.sleep(ASK_EVERY)
         await _query(host, others[first : first + MAX_PARALLEL_QUERIES])
-    # Their answers are no change to wait for, only later ones are.
+    # The answers of the hosts are not the awaited change, only later messages are.
     host.changed.clear()
     return host.core.locator.answers | {host.name: host.mobility.known_states()}
 
@@ -254,7 +256,7 @@ async def _query(host: Host, others: Collection[str]) -> None:
 
 
 async def _wait_for_change(host: Host, bound: float) -> None:
-    """Wait until something has changed, at most so long."""
+    """Wait for a change, at most `bound` seconds."""
     # Not asyncio.wait_for: before Python 3.12 it may swallow a cancellation that coincides with the change.
     with suppress(TimeoutError):
         async with asyncio.timeout(bound):

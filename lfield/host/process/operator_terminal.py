@@ -1,8 +1,8 @@
 """Reads the operator's input from standard input: a terminal, a pipe or a file.
 
 A thread reads, since a regular file has no readiness and a blocked read would stop the event loop. A process
-in the background of a terminal reads nothing until it is in the foreground: the kernel would stop it, and
-with it the heartbeats to its guards.
+in the background of a terminal does not read until it is in the foreground: the kernel would stop the
+process, and with it the heartbeats to the guards.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from contextlib import suppress
 from lfield.vm.waits.operator_input import MAX_LINE
 
 #: The longest line that is collected, in bytes: four for each character, and as many for the name of a host.
-#: The host shortens it.
+#: The host shortens the line.
 _MAX_BYTES = 8 * MAX_LINE
-#: Bytes of one read.
+#: The bytes of one read.
 _CHUNK = 4096
 #: Seconds between two attempts of a process in the background.
 _BACKGROUND_INTERVAL = 1.0
@@ -55,7 +55,9 @@ class LineSplitter:
 
 
 def read_standard_input(on_line: Callable[[str], None]) -> None:
-    """Pass each line of standard input to `on_line`, in the running loop; nothing where it is closed."""
+    """Pass each line of standard input to `on_line`, in the running loop; no line if standard input is
+    closed.
+    """
     if sys.stdin is None:
         return
     loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()

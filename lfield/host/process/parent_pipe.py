@@ -30,7 +30,9 @@ def exit_line(host: str) -> bytes:
 
 
 def typed_line(text: str) -> bytes:
-    """The line that passes on the operator's input; of a long one so much that the host reports it."""
+    """The line that passes on the operator's input; a long one is shortened to a length that the host reports
+    as too long.
+    """
     return f"{TYPED_PREFIX}{text[: MAX_INPUT + 1]}\n".encode()
 
 
@@ -41,7 +43,7 @@ def set_cloexec_on_all() -> None:
     They outlive a killed host: a caller would connect to a socket that no process reads.
     """
     for name in os.listdir("/proc/self/fd"):
-        # The descriptor of the folder itself is closed by now.
+        # The descriptor of the folder itself is closed now.
         with suppress(OSError):
             if int(name) >= _STANDARD:
                 os.set_inheritable(int(name), False)

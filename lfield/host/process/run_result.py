@@ -1,4 +1,6 @@
-"""The result of a host: hops, exit status and why it failed, written for the process that started it."""
+"""The result of a host: hops, exit status and the reason of a failure, written for the process that started
+it.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,16 @@ _CODES: Mapping[int, tuple[str, ...]] = {
     exit_status.FAILED: ("agent-died", "agent-lost"),
     exit_status.SOFTWARE: ("agent-died", "host-failed"),
 }
-#: Codes that explain nothing in one line.
+#: Codes whose log lines do not explain an exit status.
 _IGNORED = ("traceback",)
 #: Bounds of the result, in bytes: a pipe takes 64 KiB at once, and the parent reads it at the end.
 MAX_REASON, MAX_RESULT = 1000, 60_000
 
 
 class RunResult(msgspec.Struct, frozen=True):
-    """`hops` are those of each start of a coordinator, as far as this host knows them. `reason` may be ''.
+    """`hops` are the hops of each start of a coordinator, as far as this host knows them. `reason` may be ''.
 
-    `status` is the exit status, None where the host was killed before it wrote one.
+    `status` is the exit status, None if the host was killed before it wrote one.
     """
 
     hops: dict[str, int] = {}
@@ -36,7 +38,7 @@ class RunResult(msgspec.Struct, frozen=True):
     status: int | None = None
 
     def write(self, pipe: int) -> None:
-        """Write it, once; nothing where the parent has ended or the pipe is full."""
+        """Write the result once; not if the parent has ended or the pipe is full."""
         data = msgspec.json.encode(self)
         if len(data) > MAX_RESULT:
             data = msgspec.json.encode(RunResult(reason=self.reason, status=self.status))
@@ -46,16 +48,18 @@ class RunResult(msgspec.Struct, frozen=True):
 
 
 def read_result(pipe: int) -> RunResult:
-    """What a host has written, empty where it was killed before. Closes the pipe."""
+    """The result of a host, empty if the host was killed before it wrote one. Closes the pipe."""
     os.set_blocking(pipe, False)
     with suppress(msgspec.DecodeError), os.fdopen(pipe, "rb", 0) as reader:
-        # None where its guard still holds the pipe.
+        # None if the guard of the host still holds the pipe.
         return msgspec.json.decode(reader.read(MAX_RESULT + 1) or b"", type=RunResult)
     return RunResult()
 
 
 def known_hops(states: Iterable[CoordinatorState]) -> dict[str, int]:
-    """The hops of each start of a coordinator that a host knows: of one that has left it, with that hop."""
+    """The hops of each start of a coordinator that a host knows: the count for a coordinator that has left
+    the host includes that hop.
+    """
     found = {}
     for known in states:
         has_left = known.state == "MOVED" or (known.outcome == "lost" and known.sequence > 0)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from lfield.clock import Clock
 
-#: Requests within so many seconds of the first are the same request.
+#: The seconds after the first request within which further ones are the same request.
 REPEAT_WINDOW = 1.0
 
 
@@ -30,7 +30,7 @@ class ShutdownSignals:
         self._on_second = callback
 
     def request(self, *, is_repeatable: bool = True) -> None:
-        """Request the end of the host; `is_repeatable`: it may count as the second request."""
+        """Request the end of the host; `is_repeatable`: a later request may count as the second one."""
         now = self._clock.monotonic()
         self.first_requested.set()
         if self._first_at is None:

@@ -1,1 +1,1 @@
-"""The flight recorder of a host: what enters its core, and digests of what the core makes of it."""
+"""The flight recorder of a host: the inputs of its core, and digests of the effects of the core."""

@@ -1,10 +1,11 @@
 """Snapshots of a core's state, and their restoration into a newly constructed core.
 
-A core is a graph of objects. Some exist from its construction: its parts, their tables, the functions that
-connect them. They form the *skeleton*, which is the same in every core of a mission: it is numbered by one
-walk in a fixed order, and so are the objects of the mission. A snapshot has the state of each object of the
-skeleton that can change, and the objects that were created since then. It contains no code: a restored core
-has its own functions, and only classes of lfield are instantiated, without a call of their constructors.
+A core is a graph of objects. Some objects exist since its construction: its parts, their tables, the
+functions that connect them. They form the *skeleton*, which is the same in every core of a mission: it is
+numbered by one walk in a fixed order, and so are the objects of the mission. A snapshot has the state of each
+object of the skeleton that can change, and the objects that were created since then. It contains no code: a
+restored core has its own functions, and only classes of lfield are instantiated, without a call of their
+constructors.
 
 External objects (clock, engine, environment, event recorder, random numbers) have names instead of states.
 """
@@ -27,14 +28,15 @@ from lfield.vm.memory.liveness import Liveness
 
 #: Objects whose state follows from the program (caches of it), and the connections to observers.
 _OPAQUE = (BlockVerifier, Liveness, VmHooks)
-#: Objects without a state in a snapshot: the opaque ones, and caches that are made anew when they are asked.
+#: Objects without a state in a snapshot: the opaque ones, and caches that are filled again when they are
+#: queried.
 _STATELESS = (*_OPAQUE, ProviderPlans)
 
 
 class CoreSnapshots:
     """Takes and restores snapshots of one core. Construct it before the core has run.
 
-    `number_of` gives the number of a reading of the environment.
+    `number_of` returns the number of a reading of the environment.
     """
 
     def __init__(self, core: HostCore, number_of: Callable[[Reading], int] = lambda reading: -1) -> None:
@@ -55,7 +57,7 @@ class CoreSnapshots:
         return msgspec.msgpack.encode([sizes, states, writer.objects(), [version, numbers, gauss]])
 
     def restore(self, data: bytes, readings: list[Reading]) -> None:
-        """Restore a state into this core. Raises RecordingError for one of another mission or version."""
+        """Restore a state into this core. Raises RecordingError for a state of another mission or version."""
         try:
             sizes, states, objects, (version, numbers, gauss) = msgspec.msgpack.decode(data)
             if sizes != [len(self._mission), len(self._skeleton)]:

@@ -1,7 +1,7 @@
 """Runs the turns of a host's core: each at one time, and recorded if there is a recorder.
 
-A core reads the time several times in one turn. It may be earlier than the real time by the length of the
-turn; the guard checks the deadline of each actuation again, on its own clock.
+A core reads the time several times in one turn. The time of the turn may be earlier than the real time by the
+length of the turn; the guard checks the deadline of each actuation again, on its own clock.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class CoreTurns(TurnClock):
     def run(self, entry: HostInput | None) -> tuple[object, float | None, list[Effect]]:
         """One turn with an input, or with none.
 
-        Returns the answer to the input, the seconds until the next turn (None: after the next input), and
-        the effects. `FlightRecorder.complete_turn` follows when they are executed.
+        Returns the answer to the input, the seconds until the next turn (None: after the next input), and the
+        effects. `FlightRecorder.complete_turn` follows when the effects are executed.
         """
         core, flight = self._core, self.flight
         assert core is not None
-        # As `start_turn` and `end_turn`, which would be two calls more in each turn.
+        # As `start_turn` and `end_turn`, which would need two more calls in each turn.
         self._times[0] = at = self._real()
         self.in_turn, self.wall_time = True, None
         try:

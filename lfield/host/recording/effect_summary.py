@@ -1,7 +1,8 @@
-"""What a recording keeps of the effects of a turn: enough to compare two runs and to show a difference.
+"""Summaries of the effects of a turn in a recording, sufficient to compare two runs and to show a difference.
 
 An effect is a list: the name of its class, then its fields. A block is replaced by its CRC-32, and so are
-journal records, which contain blocks. Hybrid timestamps are left out: they order events and decide nothing.
+journal records, which contain blocks. Hybrid timestamps are left out: they order events and affect no
+decision.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def decode_effects(data: bytes) -> list[list[Any]]:
 
 
 def _is_valid(effect: list[Any]) -> bool:
-    """Whether an effect has the fields that are used elsewhere than for comparison."""
+    """Whether an effect has the fields that are used for more than comparison."""
     match effect:
         case ["SendTransfer", *fields]:
             return [type(each) for each in fields[:4]] == [str, str, int, int]

@@ -1,8 +1,9 @@
 """Records the core of one host: an entry for each turn, digests of blocks, and checkpoints.
 
-A turn is recorded after its effects are executed: what it sends does not wait for that. Between two turns the
-recorder compresses those of a short time together, and leaves the disk to a thread (`RingWriter`). It never
-fails the host: if the disk or the recorder itself fails, recording ends with a log line.
+A turn is recorded after its effects are executed: the messages of the turn do not wait for the recorder.
+Between two turns the recorder compresses the records of a short time together; a thread writes them to disk
+(`RingWriter`). The recorder never causes a failure of the host: if the disk or the recorder itself fails,
+recording ends with a log line.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ if TYPE_CHECKING:
 
 #: Seconds between two digests of the blocks, and the bytes of blocks that lengthen it by one second.
 DIGEST_INTERVAL, BYTES_PER_SECOND = 0.1, 5e6
-#: Seconds between two checkpoints, and the bytes of records after which one is made earlier.
+#: Seconds between two checkpoints, and the bytes of records after which a checkpoint is made earlier.
 CHECKPOINT_INTERVAL, CHECKPOINT_BYTES = 60.0, 1 << 20
-#: Seconds for which records are collected, and their bytes after which they are written earlier: a file ends
+#: Seconds for which records are collected, and the bytes after which they are written earlier: a file ends
 #: between two batches.
 BATCH_INTERVAL, BATCH_BYTES = 0.25, 1 << 16
 
@@ -71,7 +72,7 @@ class TurnTime(Protocol):
 class FlightRecorder:
     """Records `core` into `sink`; `start` describes the incarnation.
 
-    `on_pending` is called when a record waits for `write_due` or `flush` and none did before.
+    `on_pending` is called for the first record that waits for `write_due` or `flush`.
     """
 
     def __init__(
@@ -104,12 +105,12 @@ class FlightRecorder:
         #: The turn that has ended and is not recorded yet: time, input, effects, whether the core was run,
         #: and the wall-clock time.
         self._ended: _EndedTurn | None = None
-        #: Whether `write_due` has something to do.
+        #: Whether `write_due` has work to do.
         self._is_due = False
         self._is_started = self._is_closed = False
         self._batch_due = self._digest_due = 0.0
         self._checkpoint_due = start.at + CHECKPOINT_INTERVAL
-        #: The hybrid clock at the end of the last turn, and what has changed before the present one.
+        #: The hybrid clock at the end of the last turn, and the changes before the present turn.
         self._stamp, self._clock_settings = self._hybrid.last, self._hybrid.settings
         self._clock_change: ClockState | None = None
         self._readings: list[ReadingChange] = []
@@ -147,7 +148,7 @@ class FlightRecorder:
             self._on_pending()
         try:
             size = buffer.add_turn(self._record(*ended))
-        except Exception as error:  # of the recorder: it must not end the host
+        except Exception as error:  # of the recorder, which must not end the host
             self._fault, size = error, BATCH_BYTES
         if at >= self._batch_due or size >= BATCH_BYTES:
             self._is_due = True
@@ -184,7 +185,7 @@ class FlightRecorder:
         return TurnRecord(at, entry, *changes)  # type: ignore[arg-type]
 
     def note_event(self, what: StateEvent) -> None:
-        """The shell has made an event; a replay makes the log lines that are effects itself."""
+        """The shell has made an event; a replay itself makes the log lines that are effects."""
         self.complete_turn()
         if isinstance(what, LineLogged) and what.text in self._written:
             self._written.remove(what.text)
@@ -209,14 +210,14 @@ class FlightRecorder:
     # --- files ----------------------------------------------------------------------------------------
 
     def write_due(self, now: float) -> None:
-        """Between two turns: write what is due."""
+        """Between two turns, write the data that is due."""
         self._is_due, self._batch_due = False, now + BATCH_INTERVAL
         self._write_batch()
         if now >= self._checkpoint_due or self._bytes >= CHECKPOINT_BYTES or self._sink.is_full:
             self._write_checkpoint(now)
 
     def flush(self) -> None:
-        """Write what is pending."""
+        """Write the pending data."""
         self._write_batch()
 
     def note_run(self, run: str) -> None:

@@ -44,13 +44,13 @@ class Release(Struct, frozen=True, array_like=True):
 
 
 class StartRecord(HostRecord, frozen=True, tag=1):
-    """The start of an incarnation: all that the core is constructed from.
+    """The start of an incarnation: all data that the core is constructed from.
 
-    `bundle` is the digest of the bundle in the folder, which is that of the mission as it runs; `release` is
-    the bundle that the mission was read from. `seed` is that of the core's random numbers. `records` are the
-    contents of the journal, `times` when each was written (Unix time). `pace` is that of the engine;
-    `metered`: a simulation meters its instructions. `at` and `wall` are the time of the construction, `drawn`
-    the random bytes that were drawn in it.
+    `bundle` is the digest of the bundle in the folder, which is the bundle of the mission that runs;
+    `release` is the bundle that the mission was read from. `seed` is the seed of the core's random numbers.
+    `records` are the contents of the journal, `times` the Unix times at which they were written. `pace` is
+    the pace of the engine; `metered`: a simulation meters its instructions. `at` and `wall` are the time of
+    the construction, `drawn` the random bytes that were drawn during the construction.
     """
 
     lfield: str
@@ -109,12 +109,12 @@ class BlockDigest(Struct, frozen=True, array_like=True):
 
 
 class TurnRecord(HostRecord, frozen=True, tag=3):
-    """One turn: its time and input; what has changed outside the core; what the core made of it.
+    """One turn: its time and input; the changes outside the core; the effects of the core.
 
     `wall` is the wall-clock time if it was read. `clock` is the state of the hybrid clock if events between
-    two turns have changed it. `effects` is the msgpack of the effects (`effect_summary`). `run` is false
-    where an input was passed between two turns, without running the core. `times` are the real times that
-    were read within the turn.
+    two turns have changed it. `effects` is the msgpack of the effects (`effect_summary`). `run` is false if
+    an input was passed between two turns, without running the core. `times` are the real times that were read
+    within the turn.
     """
 
     at: float
@@ -134,9 +134,9 @@ class TurnRecord(HostRecord, frozen=True, tag=3):
 class CheckpointRecord(HostRecord, frozen=True, tag=4):
     """The whole state of the core after the record before: a replay can begin here.
 
-    `start` is the record of the incarnation, `snapshot` that of `core_snapshot`; `answers` and `readings` are
-    those of the environment as far as the core knows them. `runs` are the run ids that the host has had, the
-    present one last: the records before may be deleted.
+    `start` is the record of the incarnation, `snapshot` is made by `core_snapshot`; `answers` and `readings`
+    are the answers and readings of the environment, as far as the core knows them. `runs` are the run ids
+    that the host has had, the present one last: the records before may be deleted.
     """
 
     at: float
@@ -148,13 +148,13 @@ class CheckpointRecord(HostRecord, frozen=True, tag=4):
 
 
 class RunIdRecord(HostRecord, frozen=True, tag=5):
-    """The run id of this host has changed: it has met an older run (`run_identity`)."""
+    """The run id of this host has changed: the host has met an older run (`run_identity`)."""
 
     run: str
 
 
 class EndRecord(HostRecord, frozen=True, tag=6):
-    """The host has ended in order: nothing is missing."""
+    """The host has ended in order: no record is missing."""
 
     at: float
 
@@ -187,16 +187,17 @@ class FrameHeader(NamedTuple):
 
 
 class FrameBuffer:
-    """Collects the records of a frame. Each is encoded at once: it may contain what changes later, and its
-    objects are free for the next turn."""
+    """Collects the records of a frame. Each record is encoded at once: its data may change later, and its
+    objects are free for the next turn.
+    """
 
     def __init__(self) -> None:
         self._data = bytearray(_ARRAY.size)
-        #: The number of records, and that of turns among them.
+        #: The number of records, and the number of turns among them.
         self.records = self.turns = 0
 
     def add(self, record: HostRecord) -> None:
-        """Add a record which is no turn."""
+        """Add a record that is no turn."""
         self.records += 1
         _encoder.encode_into(record, self._data, -1)
 
@@ -209,8 +210,9 @@ class FrameBuffer:
         return len(data)
 
     def content(self, kind: bytes, at: float) -> bytes:
-        """The content of a frame; the buffer is empty then. Raises RecordingError if a reader would refuse
-        it."""
+        """The content of a frame; the buffer is empty after the call. Raises RecordingError if a reader would
+        refuse it.
+        """
         data, header = self._data, FrameHeader(kind, at, self.turns)
         _ARRAY.pack_into(data, 0, _ARRAY_CODE, self.records)
         self._data, self.records, self.turns = bytearray(_ARRAY.size), 0, 0

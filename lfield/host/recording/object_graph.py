@@ -38,13 +38,13 @@ _MAX_BLOCKS = 1 << 31
 
 
 def is_instance(value: object) -> bool:
-    """Whether it is an object of a class of lfield, whose attributes are its state."""
+    """Whether `value` is an object of a class of lfield, whose attributes are its state."""
     made = type(value)
     return made.__module__.startswith(_OURS) and not isinstance(value, (type, Enum, tuple, str, dict))
 
 
 def is_container(value: object) -> bool:
-    """Whether it is a container that is encoded by its elements."""
+    """Whether `value` is a container that is encoded by its elements."""
     make = _CONTAINERS.get(type(value).__name__)
     if make is None or type(made := make()) is not type(value):
         return False
@@ -73,7 +73,7 @@ def attributes(value: object) -> Iterator[tuple[str, object]]:
     if isinstance(value, BaseException):
         names.add("args")
     for name in sorted(names):
-        # Such as __orig_class__, which `typing` sets.
+        # Other attributes, such as __orig_class__, are set by `typing`.
         if name.startswith("__"):
             continue
         if not isinstance(getattr(made, name, None), cached_property) and hasattr(value, name):
@@ -120,11 +120,13 @@ def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...])
 
 
 class GraphWriter:
-    """Encodes objects as plain data; objects with a reference in `known` (by id) are encoded as that."""
+    """Encodes objects as plain data; objects with a reference in `known` (by id) are encoded as this
+    reference.
+    """
 
     def __init__(self, known: Mapping[int, list[Any]], number_of: Callable[[Reading], int]) -> None:
         self._known, self._number_of = known, number_of
-        #: The objects that are not known, by id, with their positions among `objects`.
+        #: The unknown objects, by id, with their positions among `objects`.
         self._places: dict[int, int] = {}
         self._found: list[object] = []
         #: The bytes of all blocks.
@@ -145,8 +147,8 @@ class GraphWriter:
     def _own(self, value: object) -> Iterator[tuple[str, object]]:
         """The attributes of a known object.
 
-        A function that shadows a method of the class, as that of a simulation that observes its calls, is
-        omitted: the restored object has the method. Raises RecordingError for any other new function.
+        A function that shadows a method of the class, such as that of a simulation that observes the calls,
+        is omitted: the restored object has the method. Raises RecordingError for any other new function.
         """
         made = type(value)
         for name, each in attributes(value):
@@ -205,7 +207,8 @@ class GraphWriter:
         match value:
             case type():
                 return ["type", reference_to(value)]
-            # Its text is the only public way to its next number: `count(5)`, with a step `count(5, 2)`.
+            # The text of the counter is the only public access to its next number: `count(5)`, with a step
+            # `count(5, 2)`.
             case count() if (text := repr(value)[6:-1]).isdecimal():
                 return ["count", int(text)]
             case memoryview() | bytearray() | array():
@@ -224,7 +227,7 @@ class GraphWriter:
 
 
 class GraphReader:
-    """Decodes what a GraphWriter wrote; `resolve` returns the known object of a reference."""
+    """Decodes the output of a GraphWriter; `resolve` returns the known object of a reference."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The core's environment while it is recorded: it notes each answer that differs from the last one.
+"""The core's environment while it is recorded: each answer that differs from the last one is noted.
 
 In one turn a question has one answer, so a replay needs a table of the present answers only.
 """
@@ -23,7 +23,7 @@ from lfield.vm.host_interface import Pending
 class Question(IntEnum):
     """The questions of the core."""
 
-    #: That of an enumeration is a function in Python, and each question is looked up by its number.
+    #: The hash of an enumeration is a function in Python, and each question is looked up by its number.
     __hash__ = int.__hash__
 
     DOWN_SINCE = 0
@@ -40,7 +40,7 @@ class Question(IntEnum):
 T = TypeVar("T")
 #: An empty list that is never changed.
 _NOTHING: list[Any] = []
-#: What stands for PENDING among the answers to a query.
+#: The recorded form of PENDING among the answers to a query.
 PENDING_ANSWER = ["pending"]
 _UNASKED = object()
 _LAST_CONTACT = int(Question.LAST_CONTACT)
@@ -51,31 +51,31 @@ class Turns(Protocol):
 
     @property
     def in_turn(self) -> bool:
-        """Whether one is under way."""
+        """Whether a turn is under way."""
 
 
 class RecordedEnvironment:
-    """Passes the questions on to `inner`. Outside of `turns` it notes nothing."""
+    """Passes the questions on to `inner`. Notes no answer outside of `turns`."""
 
     def __init__(self, inner: Environment, calls: Mapping[DeviceCallRecord, int], turns: Turns) -> None:
         self._inner, self._calls, self._turns = inner, calls, turns
         #: The last answer to each question, and the questions of this turn.
         self._known: dict[tuple[str | int, ...], object] = {}
         self._asked: set[tuple[str | int, ...]] = set()
-        #: When something last arrived from a host: the answers of this turn, and the last ones.
+        #: The time of the last message from each host: the answers of this turn, and the last ones.
         self._contacts: dict[str, float | None] = {}
         self._known_contacts: dict[str, float | None] = {}
         self._changes: list[RecordedAnswer] = []
-        #: The readings by number, and as the recording knows them.
+        #: The readings by number, and the readings that are recorded.
         self._readings: list[Reading] = []
         self._recorded: list[tuple[int, float]] = []
-        #: Whether `drain_changed_readings` can have something.
+        #: Whether `drain_changed_readings` can return a reading.
         self.has_readings = False
 
     # --- turns ----------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """The recording begins: nothing was asked before."""
+        """The recording begins: the core has asked no question before."""
         self._known.clear()
         self._asked.clear()
         self._contacts.clear()
@@ -119,7 +119,7 @@ class RecordedEnvironment:
         return [ReadingChange(number, *known) for number, known in enumerate(self._recorded)]
 
     def number_of(self, reading: Reading) -> int:
-        """The number of a reading that was given out. Raises RecordingError for another one."""
+        """The number of a reading that the core has received. Raises RecordingError for another reading."""
         for number, each in enumerate(self._readings):
             if each is reading:
                 return number
@@ -137,7 +137,7 @@ class RecordedEnvironment:
 
     def last_contact_at(self, host: str) -> float | None:
         """See `LinkContacts`."""
-        # Not by `_note`, which takes longer: each hop asks, and has another answer.
+        # `_note` would take longer: each hop asks this question, and gets another answer.
         if not self._turns.in_turn:
             return self._inner.last_contact_at(host)
         if host in self._contacts:
@@ -194,10 +194,10 @@ class RecordedEnvironment:
             self._readings.append(found)
             self.has_readings = True
             self._recorded.append((found.word, found.until))
-            # The recording learns the word at the beginning of a turn, and this one is under way.
+            # The word is recorded at the beginning of a turn, and this turn is under way.
             self._change(key, number, [number, found.word, found.until])
         elif self._known.get(key) != number:
-            # The reading has been lost meanwhile, or was known as that of another call.
+            # The reading was lost, or was known as the reading of another call.
             self._change(key, number, number)
         return found
 
@@ -219,7 +219,7 @@ class RecordedEnvironment:
 
 
 def _is_same(known: object, value: object) -> bool:
-    """Whether a replay that has `known` computes the same as with `value`.
+    """Whether a replay with `known` computes the same as with `value`.
 
     Equal values can differ: 0.0 and -0.0, and 1, 1.0 and True in a sequence.
     """

@@ -1,4 +1,4 @@
-"""Connects the flight recorder to a host: nothing is wrapped where a host is not recorded."""
+"""Connects the flight recorder to a host: no object is wrapped if a host is not recorded."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class RunIdentity:
     """The run id of one host: recordings of a team with the same id belong together.
 
     Each host proposes an id that begins with its time of start (`now`, in seconds since 1970). Hosts that
-    meet keep the smaller one, so all of a team agree on that of the host that was started first.
+    meet keep the smaller one, so all hosts of a team agree on the id of the host that was started first.
     """
 
     def __init__(self, now: float, random_bytes: Callable[[int], bytes]) -> None:
         at = time.strftime("%Y%m%dT%H%M%S", time.gmtime(max(0.0, now)))
-        #: The id.
+        #: The run id.
         self.id = f"{at}-{random_bytes(4).hex()}"
 
     def on_hello(self, other: str) -> bool:
@@ -49,8 +49,8 @@ class RunIdentity:
 def replayed_form(mission: Mission) -> Mission:
     """The mission as a replay reads it from the bundle: checkpoints number its objects.
 
-    A mission that was loaded from files shares other objects than the same one that was decoded. Raises
-    RecordingError for one that cannot be decoded.
+    A mission that was loaded from files shares other objects than the same mission after decoding. Raises
+    RecordingError for a bundle that cannot be decoded.
     """
     try:
         return replace(decode(encode(mission)), release=mission.release)
@@ -59,9 +59,9 @@ def replayed_form(mission: Mission) -> Mission:
 
 
 def _bundle_of(mission: Mission) -> bytes:
-    """The bundle of the mission as it runs, with its signature if that is of the same bytes.
+    """The bundle of the mission as it runs, with its signature if the signature is of the same bytes.
 
-    Other bindings, as those of simulated devices, and other addresses make another bundle.
+    Other bindings, such as those of simulated devices, and other addresses make another bundle.
     """
     data = encode(mission)
     release = mission.release
@@ -70,7 +70,7 @@ def _bundle_of(mission: Mission) -> bytes:
 
 
 class RecordingSession:
-    """The recording of one incarnation; without `target` nothing is recorded.
+    """The recording of one incarnation; without `target` there is no recording.
 
     `note` writes a log line.
     """
@@ -163,13 +163,13 @@ class RecordingSession:
             self.flight.note_event(what)
 
     def for_guards(self) -> GuardRecording:
-        """What the guards of this host record."""
+        """The recording of the guards of this host."""
         if self.flight is None or self._target is None:
             return NO_RECORDING
         return self._target.for_guards(self._host, self._incarnation, self.run.id)
 
     def write_due(self, now: float) -> None:
-        """Between two turns: write what is due."""
+        """Between two turns, write the data that is due."""
         if self.flight is None:
             return
         try:

@@ -1,4 +1,4 @@
-"""Where the recordings of hosts are written: a directory, or memory in a simulation."""
+"""The destination of the recordings of hosts: a directory, or memory in a simulation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RecordSink(Protocol):
         """Append a frame."""
 
     def close(self) -> None:
-        """Write what is pending."""
+        """Write the pending data."""
 
 
 class MemorySink:
@@ -50,7 +50,7 @@ class MemorySink:
         self.frames.append(data)
 
     def close(self) -> None:
-        """Nothing is pending."""
+        """No data is pending."""
 
 
 class RecordingTarget(Protocol):
@@ -65,12 +65,12 @@ class RecordingTarget(Protocol):
     ) -> RecordSink:
         """The sink for the core of an incarnation that starts at a time (seconds since 1970).
 
-        `bundle` is that of the mission as it runs. `on_failure` may be called in another thread, with the
-        reason. Raises OutputFileError.
+        `bundle` is the bundle of the mission that runs. `on_failure` may be called in another thread, with
+        the reason. Raises OutputFileError.
         """
 
     def for_guards(self, host: str, incarnation: int, run: str) -> GuardRecording:
-        """What the guards of an incarnation write."""
+        """The recording of the guards of an incarnation."""
 
 
 class RecordingDirectory:
@@ -104,7 +104,7 @@ class RecordingDirectory:
 class RecordingMemory:
     """Recordings in memory, by host and incarnation, in the order of their starts.
 
-    They wake no host, so that a simulation runs as without them.
+    The recordings wake no host, so that a simulation runs as without them.
     """
 
     flush_interval = None

@@ -1,6 +1,8 @@
-"""The classes of objects in snapshots: only those of lfield, by name, and made without their constructors.
+"""The classes of objects in snapshots: only classes of lfield, by name; objects are made without their
+constructors.
 
-What a snapshot may contain is checked when it is written: one that cannot be restored is of no use later.
+The contents of a snapshot are checked when it is written: a snapshot that cannot be restored is of no use
+later.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ def class_named(name: str) -> type:
 
 
 def _module(name: str) -> object:
-    """A module of lfield that is loaded, or one of a core, which may not be loaded yet; None for another."""
+    """A module of lfield that is loaded, or a module of a core, which may not be loaded yet; None for
+    another.
+    """
     if name not in modules and name.startswith(_PACKAGES):
         try:
             import_module(name)
@@ -45,7 +49,9 @@ def _module(name: str) -> object:
 
 @lru_cache(maxsize=1024)
 def reference_to(made: type) -> str:
-    """The name of a class, as of `class_named`. Raises RecordingError for one that cannot be found by it."""
+    """The name of a class, as of `class_named`. Raises RecordingError for a class that cannot be found by
+    this name.
+    """
     name = f"{made.__module__}:{made.__qualname__}"
     try:
         found = class_named(name)

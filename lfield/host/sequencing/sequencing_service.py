@@ -1,8 +1,9 @@
 """Starts and stops the coordinators of this host that other coordinators may start (decision 105). Sans-IO.
 
-A coordinator that asks is on this host, the home of the other one, suspended at its instruction, and its
-block is on disk. A start and an ordered end are on disk before it continues. A request for a start has a
-number, so that it has one effect although its instruction may run again after a restart of this host.
+The coordinator that asks is on this host, the home of the other coordinator. It is suspended at its
+instruction, and its block is on disk. A start and an ordered end are on disk before it continues. A request
+for a start has a number, so that it has one effect, although its instruction may run again after a restart of
+this host.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from lfield.vm.engine_interface import Trap
 from lfield.vm.machine import Machine
 from lfield.wire.coordinator_messages import CoordinatorState, StopCoordinator
 
-#: Seconds between two orders for a coordinator to end: it may have been in transit.
+#: Seconds between two orders for a coordinator to end: at the last order it may have been in transit.
 REPEAT_EVERY = 1.0
 
 
@@ -71,13 +72,13 @@ class SequencingService(Part):
 
     @property
     def startable_now(self) -> list[str]:
-        """Those of them that do not run."""
+        """The startable coordinators of this host that do not run."""
         known = self._known
         return [name for name, runs in self._runs.items() if not runs.where(known)]
 
     @property
     def needed_hosts(self) -> set[str]:
-        """The hosts whose reports a start waits for, and all while an end is ordered."""
+        """The hosts whose reports a start waits for, and all hosts while an end is ordered."""
         if any(runs.page.stopping for runs in self._runs.values()):
             return {*self._hosts} - {self._here}
         return {host for waiter in self._waiting.values() for host in self._runs[waiter.about].missing}
@@ -190,7 +191,7 @@ class SequencingService(Part):
         return bool(self._runs[member.id].where(self._known))
 
     def abandon_wait(self, agent: Agent) -> bool:
-        """Cancel the wait of a coordinator; whether it did wait."""
+        """Cancel the wait of a coordinator; returns whether it waited."""
         waiter = self._waiting.get(agent.id)
         if waiter is None or waiter.agent is not agent:
             return False
@@ -198,7 +199,7 @@ class SequencingService(Part):
         return True
 
     def wait_reason(self, agent: Agent) -> str:
-        """What a suspended coordinator waits for, in a few words; '' if it does not wait here."""
+        """A short text about what a suspended coordinator waits for; '' if it does not wait here."""
         waiter = self._waiting.get(agent.id)
         return f"waits for {waiter.about}" if waiter is not None and waiter.agent is agent else ""
 
@@ -250,7 +251,7 @@ class SequencingService(Part):
     # --- ends -----------------------------------------------------------------------------------------
 
     def _repeat_orders(self, now: float) -> None:
-        """Order the ends of coordinators on all hosts, until they are known."""
+        """Order the ends of coordinators on all hosts, until the ends are known."""
         stopping = [runs for runs in self._runs.values() if runs.page.stopping]
         if not stopping:
             return

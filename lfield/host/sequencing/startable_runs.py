@@ -1,4 +1,5 @@
-"""The runs of the startable coordinators of one home: whether one runs, how it ended, what the next is. Pure.
+"""The runs of the startable coordinators of one home: whether a run is under way, how the last run ended, and
+the next start. Pure.
 
 A run begins with a start by the home. A recovery by another host continues it under a higher number, so the
 newest known start of a coordinator is that of its last run.
@@ -14,7 +15,7 @@ from lfield.replication.transfer.start_gate import StartGate
 from lfield.vm.agent import STOPPED
 from lfield.wire.coordinator_messages import TERMINAL, CoordinatorState
 
-#: How a coordinator has ended that was never started.
+#: The outcome of a coordinator that was never started.
 NEVER_STARTED = "not started"
 
 
@@ -24,9 +25,9 @@ class StartableRuns:
 
     def __init__(self, agent: str, others: Collection[str], page: SequenceRecord | None) -> None:
         self.agent = agent
-        #: Its last start by this host, the request for it, and whether its end is ordered.
+        #: The last start by this host, the request for it, and whether its end is ordered.
         self.page = page or SequenceRecord(agent)
-        #: Whether a host reports it alive, and which hosts have not reported.
+        #: Whether a host reports the coordinator alive, and which hosts have not reported.
         self.gate = StartGate([agent], others)
         self._is_recorded = page is not None
 
@@ -45,13 +46,13 @@ class StartableRuns:
         return self._is_recorded and self.page.request == request
 
     def next_page(self, known: Iterable[CoordinatorState], fence: int, request: int) -> SequenceRecord:
-        """The record of the next start, for a request; with a number above every known one."""
+        """The record of the next start, for a request; its number is above every known one."""
         self.gate.on_generations(known)
         self.gate.require_above(max(fence, self.page.generation))
         return SequenceRecord(self.agent, next_start(self.gate.newest), request)
 
     def on_recorded(self, page: SequenceRecord) -> None:
-        """That record is written."""
+        """The record `page` is written."""
         self.page, self._is_recorded = page, True
 
     # --- the last run ---------------------------------------------------------------------------------
@@ -61,7 +62,7 @@ class StartableRuns:
         return max(rows, key=lambda row: row.generation, default=None)
 
     def where(self, known: Sequence[CoordinatorState]) -> str:
-        """Where the last run goes on, as far as is known, in a few words; '' if it has ended."""
+        """A short text about the location of the last run, as far as is known; '' if the run has ended."""
         last = self._last(known)
         if last is None or (last.state == "EXITED" and last.outcome in TERMINAL):
             return "on another host" if self.gate.is_alive(self.agent, known) else ""
@@ -70,7 +71,7 @@ class StartableRuns:
         return f"at {last.where}" if last.state in ("MOVED", "PREPARED", "IN DOUBT") else "here"
 
     def outcome(self, known: Sequence[CoordinatorState]) -> str:
-        """How the last run has ended: done, stopped, failed or lost, with the reason."""
+        """The outcome of the last run: done, stopped, failed or lost, with the reason."""
         last = self._last(known)
         if last is None or not (self.page.generation or last.generation):
             return NEVER_STARTED
@@ -83,8 +84,8 @@ class StartableRuns:
 def is_of_run(generation: int, first: int, known: Iterable[int]) -> bool:
     """Whether a start belongs to the run that began with start `first`, as far as a host knows.
 
-    `known` are the starts of the coordinator that the host has records of. The run goes on in recoveries,
-    until the home makes another start.
+    `known` are the starts of the coordinator that the host has records of. Recoveries continue the run until
+    the home makes another start.
     """
     if generation == first:
         return True

@@ -7,8 +7,8 @@ who stops the team, so there are token buckets:
   address together have one for decoded datagrams;
 - all senders of one address (of a /64 with IPv6) have at most half of the capacity for strangers;
 - strangers that name a certificate known here share one bucket, and all others another one;
-- a sender with a valid signature has a bucket with its certificate, which others drain only with datagrams
-  that forge that sender's address.
+- a sender with a valid signature has a bucket with its certificate, which other senders drain only with
+  datagrams that forge the address of this sender.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class Rate(NamedTuple):
     each_second: float
 
 
-#: Datagrams of one sender, and of all senders of one address, that are decoded; the rest is dropped unread.
+#: The rates of datagrams of one sender, and of all senders of one address, that are decoded; others are
+#: dropped unread.
 DECODES, ADDRESS_DECODES = Rate(64.0, 32.0), Rate(256.0, 128.0)
 #: Checks for one sender without a valid signature so far, for one address, for all that name a known
 #: certificate, and for all others, whose certificates need a check too.
@@ -74,7 +75,7 @@ class DatagramLimits:
         self._proven: OrderedDict[tuple[Sender, bytes], None] = OrderedDict()
 
     def may_decode(self, sender: Sender, now: float) -> bool:
-        """Whether a datagram from there is decoded; then it counts."""
+        """Whether a datagram from this sender is decoded; if so, it is counted."""
         network = sender.network
         if min(self._decodes.level(sender, now), self._address_decodes.level(network, now)) < 1.0:
             return False
@@ -83,8 +84,9 @@ class DatagramLimits:
         return True
 
     def may_check(self, sender: Sender, signer: bytes, now: float, *, is_known: bool) -> bool:
-        """Whether a signature is checked; then it counts. `is_known`: the certificate of the digest `signer`
-        was verified here before."""
+        """Whether a signature is checked; if so, it is counted. `is_known`: the certificate of the digest
+        `signer` was verified here before.
+        """
         pair = (sender, signer)
         if pair in self._proven:
             budgets: list[tuple[_Buckets, Hashable]] = [(self._checks, pair)]

@@ -22,22 +22,22 @@ from lfield.wire.observer_messages import (
     Pause,
 )
 
-#: Why devices are held while the mission is paused.
+#: The reason why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
-#: Why an order to end a stop or a pause is refused, by what it would end.
+#: The reason why an order to end a stop or a pause is refused, by the stop or pause that it would end.
 HOLD_NAMES = {"stop": "emergency stop", "pause": "pause"}
 NEWER_ORDER = "a newer {} arrived before this order to end the {}: check the state, then repeat the order"
-#: The answer to an order that was executed and ended by a later order.
+#: The answer to an order that was executed and then ended by a later order.
 ALREADY_ENDED = "this {} was carried out, and a later order has ended it"
 IN_USE = "in use again"
-#: For a device that is not open when the host is stopped.
+#: The safe state of a device that is not open when the host is stopped.
 NOT_OPEN = "its host has not opened it yet, and opens it in its safe state: repeat the order"
 #: The answer to a resume on a host that has voted about an activation.
 STILL_HELD = (
     "the pause has ended, but the host is held until the result of a vote about an activation is known: "
     "'lfield status' shows it"
 )
-#: What holds a host that has voted.
+#: The hold of a host that has voted.
 VOTE = "the vote about an activation"
 #: Seconds for which the answer to an emergency stop, which is in force already, waits for the disk.
 DURABLE_TIMEOUT = 2.0
@@ -58,8 +58,8 @@ class Dispatch(Protocol):
 class OrderExecutor:
     """Executes stop, pause and lift orders on one host.
 
-    `dispatch` passes an event to the core; `flush` waits until everything is on disk, at most so many
-    seconds, and returns whether it is.
+    `dispatch` passes an event to the core; `flush` waits until all records are on disk, at most the given
+    seconds, and returns whether they are.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class OrderExecutor:
     # --- orders still in force at the start -----------------------------------------------------------
 
     def restore_emergency_stop(self) -> None:
-        """A stop that was not lifted before the restart: devices are opened locked."""
+        """A stop that was not lifted before the restart: the devices are locked when they are opened."""
         if reason := self._core.coordinators.stopped:
             self._recorder.on_emergency_stop(EARLIER_INCARNATION, reason, lifted=False)
             self._guards.inhibit(reason)
@@ -98,7 +98,7 @@ class OrderExecutor:
     # --- orders ---------------------------------------------------------------------------------------
 
     def on_order(self, message: EmergencyStop | Pause, sender: str, answer: OrderCallback) -> None:
-        """An authorised order. It is executed, or `answer` is called at once with the reason against it."""
+        """Execute an authorised order, or call `answer` at once with the reason for the refusal."""
         orders, kind = self._core.orders, message.kind
         match orders.standing_of(kind, message.id, message.epoch):
             case "new":
@@ -162,7 +162,9 @@ class OrderExecutor:
             self._answer(message, answer, devices, STILL_HELD if is_held else "")
 
     async def _end_pause(self, end: HostInput, *, is_last: bool) -> dict[str, str]:
-        """Release the devices unless something else still pauses the mission, then resume the agents."""
+        """Release the devices unless there is another reason for a pause of the mission, then resume the
+        agents.
+        """
         team = self._core.coordinators
         # A resumed agent must find its devices in use.
         devices = await self._guards.release_held(PAUSED) if is_last and team.paused else {}
@@ -175,7 +177,9 @@ class OrderExecutor:
     # --- votes ----------------------------------------------------------------------------------------
 
     def on_ballot_hold(self, message: BallotHold, answer: OrderCallback) -> None:
-        """The service of this robot votes: nothing arms until the result is known. A person cannot end it."""
+        """The service of this robot votes: no vehicle arms until the result is known. A person cannot end
+        this hold.
+        """
         spawn(self._hold(message, answer))
 
     async def _hold(self, message: BallotHold, answer: OrderCallback) -> None:
@@ -200,7 +204,7 @@ class OrderExecutor:
         return self._all_devices(NOT_OPEN) | await self._guards.await_safe_states()
 
     def _durability_warning(self, *, lift: bool) -> str:
-        """Log that the order is not on disk, and what follows after a restart; returns the line."""
+        """Log that the order is not on disk, and the consequence after a restart; returns the line."""
         why = self._core.coordinators.write_trouble or f"writing takes more than {DURABLE_TIMEOUT:g} s"
         line = (log_messages.STOP_END_NOT_STORED if lift else log_messages.STOP_NOT_STORED).line(reason=why)
         self._note(line)
@@ -215,7 +219,7 @@ class OrderExecutor:
         return {device.name: why for device in devices if not device.is_sensor}
 
     def _devices_in_use(self) -> dict[str, str]:
-        """'' for each device that is in its safe state all the same."""
+        """For each device '' if it is at rest in its safe state, otherwise IN_USE."""
         latched, moving = self._guards.latched, self._guards.moving
         return {
             name: "" if name in latched and not moving.get(name) else IN_USE for name in self._all_devices("")

@@ -2,7 +2,7 @@
 
 Cheap checks come first. A signature is checked in a thread, within rate limits, and only if the datagram is
 for this host or to be relayed. Only verified datagrams are relayed or executed, and the answer to an
-unverified one is smaller than it (no amplification).
+unverified datagram is smaller than the datagram (no amplification).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from lfield.wire.fields import truncate
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
 from lfield.wire.order_messages import Epochs, Order, RelayedAnswer, RelayedOrder, SignedOrder
 
-#: A confirmation that takes longer than so many seconds is announced, so that the sender repeats less often.
-#: The announcement is repeated to a sender at this interval at most.
+#: A confirmation that takes longer than this number of seconds is announced, so that the sender repeats less
+#: often. The announcement is repeated to a sender at this interval at most.
 RECEIPT_DELAY = 0.2
-#: The first confirmation is repeated after so many seconds, since a sender that missed it would request it a
-#: round trip later. Only the sender of a verified order gets it.
+#: The first confirmation is repeated after this number of seconds: a sender that missed it would otherwise
+#: request it a round trip later. Only the sender of a verified order gets it.
 CONFIRMATION_COPY_DELAY = 0.03
 #: Limits of relaying: hops of a datagram, number of hosts to which it is relayed, and seconds until the same
 #: one may be relayed again.
@@ -64,8 +64,9 @@ class PendingCheck(Struct):
 
 
 class _Requester(Struct):
-    """The latest datagram with an order from one origin, and when it arrived; when execution was last
-    announced to that origin. In seconds."""
+    """The latest datagram with an order from one origin, and when it arrived; the time when execution was
+    last announced to that origin. Times are in seconds.
+    """
 
     signed: SignedOrder
     received_at: float
@@ -117,20 +118,22 @@ class OrderReceiver:
         #: The verified datagrams, by their digest.
         self._verified: OrderedDict[bytes, VerifiedCertificate] = OrderedDict()
         self._orders: OrderedDict[bytes, _VerifiedOrder] = OrderedDict()
-        #: When each datagram was last relayed.
+        #: The time when each datagram was last relayed.
         self._relayed: OrderedDict[bytes, float] = OrderedDict()
         self._checking: set[bytes] = set()
 
     # --- input ----------------------------------------------------------------------------------------
 
     def may_decode(self, sender: Sender) -> bool:
-        """Whether a datagram from there may be passed to `on_datagram`; the cheapest check, so it comes
-        first."""
+        """Whether a datagram from this sender may be passed to `on_datagram`; this cheapest check comes
+        first.
+        """
         return self._limits.may_decode(sender, self._now())
 
     def on_datagram(self, data: bytes, origin: Origin) -> None:
-        """A datagram arrived. Anything that is neither an order for this host nor to be relayed is
-        dropped."""
+        """A datagram arrived. A datagram that is neither an order for this host nor to be relayed is
+        dropped.
+        """
         try:
             signed = wire.decode_datagram(data)
             if not isinstance(signed, SignedOrder):
@@ -147,7 +150,7 @@ class OrderReceiver:
         if verified is None and known is None and not signed.certificate:
             self._request_certificate(checking)
         elif self._may_check(checking):
-            # A copy needs no check but counts as one: it is answered, and answers are signed.
+            # A copy needs no check but counts as a check: the host answers it with a signature.
             if verified is not None:
                 self._on_verified(checking, verified)
             else:
@@ -226,7 +229,7 @@ class OrderReceiver:
         self._ports.later(RECEIPT_DELAY, lambda: self._send_receipt(order.id))
 
     def _send_receipt(self, id: bytes) -> None:
-        """Announce the execution to the senders that got no announcement lately."""
+        """Announce the execution to the senders without a recent announcement."""
         asked, now = self._orders.get(id), self._now()
         if asked is None or not asked.is_executing:
             return
@@ -254,7 +257,9 @@ class OrderReceiver:
         self._ports.later(CONFIRMATION_COPY_DELAY, lambda: self._confirm_again(id, confirmed))
 
     def _confirm_again(self, id: bytes, confirmed: wire.OrderConfirmed) -> None:
-        """Repeat it to those that know the certificate: with a certificate the copy would be large."""
+        """Repeat the confirmation to the senders that know the certificate: with a certificate the copy would
+        be large.
+        """
         asked = self._orders.get(id)
         askers = asked.askers.items() if asked is not None else ()
         for origin in [origin for origin, asker in askers if not asker.signed.unknown]:

@@ -1,4 +1,4 @@
-"""Serves the event subscriptions of one host: sends batches when due; no timer without subscribers."""
+"""Serves the event subscriptions of one host: sends batches when due; has no timer without subscribers."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from lfield.wire.subscription_messages import EventAck, EventBatch, Subscribe
 
 #: The maximum number of subscriptions of one host.
 MAX_SUBSCRIPTIONS = 16
-#: Seconds for which portal calls are still recorded after the last subscription has ended.
+#: Seconds for which portal calls are recorded after the end of the last subscription.
 LINGER = 60.0
 #: Seconds between two checks of which agents can be called.
 OFFERS_EVERY = 1.0
-#: Minimum delay of a timer that fired early.
+#: Minimum delay of a timer that expired early.
 TICK = 0.001
 
 
 def subscription_to_evict(watching: Sequence[str], newcomer: str) -> int | None:
     """The index of the subscription to evict for `newcomer`, of all present ones; None to refuse it.
 
-    It is the oldest of the identity with the most, if that still has at least as many as the newcomer
-    afterwards: no identity locks out others by subscribing several times.
+    The result is the oldest subscription of the identity with the most, if this identity then still has at
+    least as many as the newcomer: no identity can exclude others with several subscriptions.
     """
     most = max(watching, key=Counter(watching).__getitem__)
     return watching.index(most) if watching.count(most) > watching.count(newcomer) + 1 else None
@@ -88,8 +88,9 @@ class SubscriptionServer:
         self._send_due()
 
     def snapshot_batch(self, *, directory: bool) -> EventBatch:
-        """The state of the host as of its newest event, for an observer that asks for it once, with the whole
-        `directory` or not."""
+        """The state of the host as of its newest event, for an observer that requests it once, with the whole
+        `directory` or not.
+        """
         self._recorder.drain()
         latest = self._recorder.event_log.latest
         status = self._status() if directory else self._brief_status()
@@ -103,7 +104,7 @@ class SubscriptionServer:
             self._on_event()
 
     def flush_and_close(self) -> None:
-        """The host stops: send each subscriber its pending events, as far as it reads, and close its link."""
+        """The host stops: send each subscriber its pending events, if it reads them, and close its link."""
         self._recorder.report_dropped(at_once=True)
         for link, watcher in list(self._subscriptions.items()):
             while (batch := self._batch(watcher, max(self._recorder.up, watcher.due))) and batch.events:
@@ -113,7 +114,7 @@ class SubscriptionServer:
         self._stop_timer()
 
     def _on_event(self) -> None:
-        """An event is pending: the timer may have to fire earlier."""
+        """An event is pending: the timer may have to expire earlier."""
         self._wake_at(min((watcher.due for watcher in self._subscriptions.values()), default=None))
 
     def _wake_at(self, due: float | None) -> None:
@@ -168,8 +169,9 @@ class SubscriptionServer:
         return watcher.next_batch(self._clock.time(), up, self._brief_status)
 
     def _brief_status(self) -> Status:
-        """The status without the attributes of agents of other hosts: every host has those of all agents, so
-        that they grow with the square of the team."""
+        """The status without the attributes of agents of other hosts: every host has the attributes of all
+        agents, so their total size grows with the square of the team.
+        """
         status = self._status()
         own = {agent.id for agent in status.agents}
         brief = [

@@ -31,7 +31,7 @@ def _agents(core: HostCore) -> Iterator[tuple[str, tuple[object, TelemetryEvent]
 
 
 def agent_activity(agent: Agent, core: HostCore) -> AgentActivity:
-    """The activity of an agent: of the most active of its threads."""
+    """The activity of an agent: that of its most active thread."""
     w = agent.block.w
     places = list(threads(agent.block))
     state = truncate(state_of(agent, core, [w[place + THREAD_STATE] for place in places]), MAX_LABEL)

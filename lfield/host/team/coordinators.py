@@ -1,6 +1,6 @@
 """The coordinators of one host: their hops, with the effects of the transfer protocol. Sans-IO.
 
-Effects that need a record on disk first wait in the write-ahead queue. On a host without a journal nothing
+Effects that need a record on disk first wait in the write-ahead queue. On a host without a journal no effect
 waits.
 """
 
@@ -72,25 +72,25 @@ class Coordinators(Part):
             [] if self.recovery.has_program_record else [program_record(mission, hello.mission_hash)]
         )
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
-        #: An operator has paused the mission, and the ballot that holds it (b"": none); either of them has.
+        #: Whether an operator paused the mission; the ballot that holds it (b"": none); whether either did.
         self.is_pause_ordered, self.ballot = self.recovery.paused, b""
         self.paused = self.is_pause_ordered
-        #: Why an emergency stop locks the devices here, '' for none.
+        #: The reason why an emergency stop locks the devices here, '' for none.
         self.stopped = self.recovery.stopped
-        #: Why the disk should admit nothing more, '' if it may.
+        #: The reason why the disk should admit nothing more, '' if it may.
         self.space_trouble = ""
         self._has_record = self.recovery.last_start is not None
-        #: Why records cannot be written now, '' if they can.
+        #: The reason why records cannot be written now, '' if they can.
         self.write_trouble = ""
-        #: The starts whose pending call may have started before the restart of this host, and were informed.
+        #: The starts that were informed that a pending call may have started before the restart of the host.
         self.restart_notified: set[tuple[str, int]] = set()
-        #: No coordinator is admitted any more.
+        #: Whether this host admits no coordinator any more.
         self.is_halted = False
         #: Coordinators that arrived before the resources here were started; None after that.
         self._queued_arrivals: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
-        #: Numbers the packed blocks; the last one, 0 if it has waited since then.
+        #: The number of packed blocks; that of the last one, 0 if its coordinator has waited since.
         self._packs = self._packed = 0
-        #: When mobility may have a time-out. New deadlines are later, so one that is set stays.
+        #: The time when mobility may have a time-out. New deadlines are later, so a set one is kept.
         self._deadline: float | None = None
         self.handles = {
             **dict.fromkeys(get_args(MobilityMessage), self._on_message),
@@ -117,8 +117,9 @@ class Coordinators(Part):
         self.due = None if self.paused else self._deadline
 
     def set_paused(self, *, ordered: bool, ballot: bytes) -> None:
-        """An operator or a ballot pauses the mission on this host, or does no more. When nothing does, the
-        time-outs of coordinators that wait for another host restart."""
+        """Set the pauses by an operator and by a ballot. When neither pauses the mission any more, the
+        time-outs of coordinators that wait for another host restart.
+        """
         self.is_pause_ordered, self.ballot = ordered, ballot
         self.paused = on = ordered or bool(ballot)
         if not on:
@@ -130,7 +131,7 @@ class Coordinators(Part):
         self.stopped = reason
 
     def set_space_trouble(self, trouble: str) -> None:
-        """Why the journal should admit nothing more, '' if it may."""
+        """The reason why the journal should admit nothing more, '' if it may."""
         self.space_trouble = trouble
 
     @property
@@ -144,7 +145,7 @@ class Coordinators(Part):
         return [PersistRecords(*found)] if found else []
 
     def _on_write_failed(self, event: WriteFailed) -> None:
-        """Coordinators stay where they are, and start no call with side effects."""
+        """Keep coordinators on this host, without calls that have side effects."""
         why = event.reason
         if not self.write_trouble:
             self.log(log_messages.JOURNAL_BLOCKED.line(reason=why))
@@ -158,13 +159,13 @@ class Coordinators(Part):
             self.log(log_messages.JOURNAL_WRITABLE.line())
         for effect in self.write_ahead.on_durable(event.number):
             self._executor.execute(effect)
-        # Only now: what has waited until now must not be taken for what is on disk.
+        # After the other updates: records that have waited until now are not on disk.
         self.write_trouble = ""
 
     # --- arrival and departure ------------------------------------------------------------------------
 
     def on_resources_started(self) -> None:
-        """The resources here are started: admit the coordinators that arrived meanwhile."""
+        """The resources here are started: admit the coordinators that arrived before."""
         if self._mission.release.by:
             self.persist(BundleRecord(self._mission.release.digest))
         early, self._queued_arrivals = self._queued_arrivals or {}, None
@@ -209,7 +210,7 @@ class Coordinators(Part):
         return self.write_ahead.add_record(StartCounter(generation), now)
 
     def record_existence(self) -> None:
-        """Record that this host has a journal, though no start may have been made, unless one is recorded."""
+        """Record that this host has a journal, even if it has made no start, unless a start is recorded."""
         if not self._has_record:
             self.persist(StartCounter(0))
 
@@ -226,7 +227,7 @@ class Coordinators(Part):
     def end_run(self) -> None:
         """The host has stopped in order: the next start is a new run, unless a coordinator may continue.
 
-        Not if it has opened no device: an automatic retry must not start a mission again.
+        It does not end if this host has opened no device: an automatic retry must not start a mission again.
         """
         if not self._hello.journal_id or self._queued_arrivals is not None:
             return
@@ -257,9 +258,9 @@ class Coordinators(Part):
         return self.write_ahead.durable_states(self.mobility.handshake_states(waiting), self._hello.host)
 
     def recover(self, agent: str, generation: int) -> bool:
-        """Resume a coordinator whose holder is lost as start `generation`, once that is on disk.
+        """Resume a coordinator whose holder is lost as start `generation`, once this start is on disk.
 
-        False: its block here is unreadable, and nothing was done.
+        Returns False, without an effect, if its block here is unreadable.
         """
         effects = self.mobility.recover(agent, generation, partial(self._restore_into_vm, runs=False))
         if effects:
@@ -271,8 +272,8 @@ class Coordinators(Part):
         """Start a hop: send a frozen coordinator to the host of a resource.
 
         `down_for`: seconds without a link to that host. With a `lost_reason` the call fails, unless the
-        coordinator fetches a result: that may still be there. One that waits for the first of several results
-        has waited for that host already, and does not miss the others' results meanwhile.
+        coordinator fetches a result, which may still be there. A coordinator that waits for the first of
+        several results has already waited for that host, and must not miss the results of other hosts.
         """
         if self.write_trouble and self._refuse_if_not_durable(agent):
             return
@@ -290,7 +291,9 @@ class Coordinators(Part):
             self._set_deadline()
 
     def save(self, agent: Agent) -> bool:
-        """A coordinator calls another portal here: whether it may continue now, or only after a write."""
+        """Save a coordinator that calls another portal here; returns whether it may continue before the
+        write.
+        """
         if not self._hello.journal_id:
             return True
         if self._refuse_if_not_durable(agent):
@@ -324,7 +327,7 @@ class Coordinators(Part):
 
     def _seal(self, agent: Agent, packed: int, sequence: int) -> Buffer:
         agent.block.w[layout.W_SEQUENCE] = sequence
-        if self._packed != packed:  # It has waited meanwhile, and its time limits have decreased.
+        if self._packed != packed:  # The coordinator has waited since, and its time limits have decreased.
             self._machine.store_clock(agent)
         # As `Block.image`, which `pack` has called.
         return memoryview(agent.block.data)[: 8 * agent.block.top]
@@ -350,10 +353,11 @@ class Coordinators(Part):
     def _restore_into_vm(self, copy: CoordinatorCopy, *, runs: bool) -> Callable[[int], Buffer] | None:
         """Load a stored coordinator into the machine again."""
         if copy.block is None:
-            # It never reached a portal call with side effects: nothing that it did was visible outside.
+            # The coordinator never reached a portal call with side effects: none of its actions was visible
+            # outside.
             self._start(copy.agent, copy.generation)
             self.log(log_messages.AGENT_RESTARTED.line(agent=copy.agent, host=self._hello.host))
-            # Its block is not needed before it reaches a portal call.
+            # The block is not needed before the coordinator reaches a portal call.
             return _empty_block
         member = self._members[copy.agent]
         try:
@@ -362,7 +366,7 @@ class Coordinators(Part):
         except BlockError as error:
             self.log(log_messages.AGENT_UNREADABLE.line(agent=copy.agent, reason=error))
             return None
-        # It may have been stored on arrival, before the arrival was counted; or when it was recovered.
+        # The copy may have been stored on arrival, before the arrival was counted; or during a recovery.
         recovered = agent.block.w[layout.W_GENERATION] != copy.generation
         agent.block.w[layout.W_HOPS], agent.block.w[layout.W_GENERATION] = copy.hops, copy.generation
         seal = self._block_maker(agent)

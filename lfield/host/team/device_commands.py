@@ -74,8 +74,9 @@ class DeviceCommands(Part):
         return PENDING
 
     def _deadline(self, agent: Agent, thread: int, call: DeviceCallRecord) -> float:
-        """The deadline for starting it, for the coordinator that has called the portal. Raises
-        DeviceError."""
+        """The deadline for starting the call, for the coordinator that has called the portal. Raises
+        DeviceError.
+        """
         number, caller = self._machine.served_calls.of_thread(agent, thread)
         if caller is None and number:
             raise DeviceError(call.field, "the call that would command it was taken from its caller")
@@ -96,7 +97,7 @@ class DeviceCommands(Part):
         return True
 
     def on_device_answer(self, number: int, value: DeviceValue | DeviceError) -> None:
-        """The result of the device call of that number; only the first one counts."""
+        """The result of the device call of that number; only the first result counts."""
         call = self._unanswered.pop(number, None)
         if call is None:
             return

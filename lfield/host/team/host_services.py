@@ -79,7 +79,7 @@ class HostServices:
         self._log_line(log_messages.INPUT_READ.line(agent=agent.id, text=text))
 
     def on_readers_changed(self, agents: Sequence[str]) -> None:
-        """Other agents than before wait for a line."""
+        """The agents that wait for a line have changed."""
         self._recorder.on_readers_changed(agents)
 
     def report(self, agent: Agent, line: LogLine) -> None:
@@ -166,16 +166,17 @@ class HostServices:
             parts.pending_calls.on_departing(agent)
 
     def contact_age(self, member: TeamMember) -> float:
-        """Seconds since something arrived from its host; infinite without a link."""
+        """Seconds since the last message from the host of an agent; infinite without a link."""
         return self._parts.reachability.contact_age(self._hosts[member.host])
 
     def is_silent(self, member: TeamMember) -> bool:
-        """Whether nothing arrives from its host, though there is a link."""
+        """Whether no message arrives from the host of an agent, although there is a link."""
         return self._parts.reachability.is_silent(self._hosts[member.host])
 
     def request_heartbeat(self, member: TeamMember, within: float) -> None:
-        """Request a heartbeat from its host, unless something arrived from it in the last `within`
-        seconds."""
+        """Request a heartbeat from the host of an agent, unless a message arrived in the last `within`
+        seconds.
+        """
         self._parts.reachability.request_heartbeat(self._hosts[member.host], within)
 
     def is_heartbeat_pending(self, member: TeamMember) -> bool:
@@ -183,13 +184,13 @@ class HostServices:
         return self._parts.reachability.is_heartbeat_pending(self._hosts[member.host])
 
     def transit_time(self, member: TeamMember) -> float:
-        """The expected transit time to its host, in seconds."""
+        """The expected transit time to the host of an agent, in seconds."""
         return self._parts.reachability.arrival_time(self._hosts[member.host])
 
     def call_device(
         self, agent: Agent, thread: int, call: DeviceCallRecord, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
-        """A device instruction: telemetry is answered here, anything else by the guard."""
+        """A device instruction: telemetry is answered here, other instructions by the guard."""
         return self._parts.commands.call_device(agent, thread, call, values)
 
     def telemetry_reading(self, agent: Agent, call: DeviceCallRecord) -> Reading | None:
@@ -207,7 +208,7 @@ class HostServices:
         return self._parts.offers.find_teams(agent.id, capability, constraint, size)
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
-        """Why the other agents do not match."""
+        """The reasons why the other agents do not match."""
         return self._parts.offers.explain_others(agent.id, capability, constraint)
 
     def ended(self, agent: Agent) -> None:
@@ -227,6 +228,6 @@ class HostServices:
         self._out(WriteLog(line, lines=True))
         self._out(DumpAgent(agent))
         if agent.loops is not None:
-            # Without its loops a device would not react any more.
+            # Without these loops a device would not react any more.
             reason = f"{agent.id}, whose loops control it, has died"
             self._parts.commands.make_safe(agent.id, reason)

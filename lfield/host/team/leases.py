@@ -1,8 +1,8 @@
 """Leases and fences of one host: their effects on its coordinators and the devices that they use. Sans-IO.
 
 A coordinator that runs under a lease (`Mission.fenced`) starts no portal call, and actuates no device, while
-this host holds no lease. When the lease ends, or one of them is fenced, the devices that it has used here go
-into their safe states.
+this host holds no lease. When the lease ends, or a coordinator is fenced, the devices that it has used here
+go into their safe states.
 """
 
 from __future__ import annotations
@@ -35,12 +35,13 @@ from lfield.wire.fields import bounded_duration
 from lfield.wire.framing import Buffer
 from lfield.wire.quorum_messages import QuorumMessage
 
-#: The caller of a portal: a coordinator that waits here for it, or a pending call that it has started here.
+#: The caller of a portal: a coordinator that waits here for the portal, or a pending call of a coordinator.
 Caller = Agent | PendingCall
 
-#: Why calls of coordinators fail on a host without a lease.
+#: The reason why calls of coordinators fail on a host without a lease.
 ENDED = "the lease of {0} has ended: no majority of the members responds"
-#: A host without a lease may have missed a termination, and a coordinator that it resumes could not act.
+#: The reason why a host without a lease does not recover a coordinator: the host may have missed its
+#: termination, and the coordinator could not act.
 NO_MAJORITY = (
     "{0} runs under leases, and no majority of the members responds to {1}; they may know that {0} has "
     "ended: retry when they respond; if members are permanently lost, restart all hosts with a 'recovery: "
@@ -49,7 +50,7 @@ NO_MAJORITY = (
 
 
 class TeamLeases(Part):
-    """The leases of one host; without a journal there are none. `fences` are those of its coordinators."""
+    """The leases of one host, none without a journal. `fences` are the fences of its coordinators."""
 
     def __init__(
         self, context: HostContext, team: CoordinatorOperations, machine: Machine, fences: FencingTokens
@@ -80,8 +81,8 @@ class TeamLeases(Part):
         self._users: dict[str, set[Caller]] = {}
         self._waiting: dict[str, Agent] = {}
         self._is_held = False
-        #: The members that were logged as missing. All of a team may just be starting, so nothing is logged
-        #: before that time.
+        #: The members that were logged as missing. All hosts of a team may just be starting, so no line is
+        #: logged before that time.
         self._reported_missing: list[str] = []
         self._wait_until = math.inf
 
@@ -98,7 +99,7 @@ class TeamLeases(Part):
             self._out(WriteLog(log_messages.NO_HEARTBEAT_INTERVAL.line(host=self._hello.host)))
 
     def on_restored(self) -> None:
-        """Stored coordinators are about to resume: fence those that may not."""
+        """Stored coordinators are about to resume: fence the coordinators that may not."""
         for agent, generation in self._restored.items():
             self._raise_fence(agent, generation, "according to its journal")
 
@@ -110,7 +111,7 @@ class TeamLeases(Part):
         """Process time-outs and messages."""
         self._apply_effects(self.quorum.tick(now))
         if self._new and self.quorum.knows_promises:
-            # After a restart it need not wait for all members again.
+            # After a restart this host need not wait for all members again.
             self._new = False
             self._team.record_existence()
         if now >= self._wait_until:
@@ -160,14 +161,13 @@ class TeamLeases(Part):
         self._users.clear()
 
     def _callers(self) -> list[Caller]:
-        """The agents that are here, and pending calls that run here for coordinators that may be
-        elsewhere."""
+        """The agents that are here, and pending calls here, whose coordinators may be elsewhere."""
         running = (call for call in self._machine.pending_calls.calls() if call.state == "running")
         return [*self._machine.agents.values(), *running, *self._machine.person_portals.running]
 
     def _is_leased(self, caller: Caller) -> bool:
-        """Whether a caller acts under the lease of this host. A person does in a mission with leases: where
-        no lease is held, coordinators may have been resumed on other hosts."""
+        """Whether a caller acts under the lease of this host. A person does in a mission with leases: without
+        a lease here, coordinators may have been resumed on other hosts."""
         is_person = isinstance(caller, PendingCall) and caller.is_of_person
         return caller.id in self.leased_agents or (is_person and bool(self.leased_agents))
 
@@ -176,7 +176,7 @@ class TeamLeases(Part):
         """The hosts with which links are needed."""
         return self.quorum.needed_hosts if self.leased_agents else set()
 
-    # --- what coordinators may do ---------------------------------------------------------------------
+    # --- permissions of coordinators ------------------------------------------------------------------
 
     @property
     def has_to_wait(self) -> bool:
@@ -216,7 +216,7 @@ class TeamLeases(Part):
         return False
 
     def abandon_wait(self, agent: Agent) -> bool:
-        """Cancel a coordinator's wait for a lease; whether it did wait."""
+        """Cancel a coordinator's wait for a lease; returns whether it waited."""
         if waits := self.is_waiting(agent):
             del self._waiting[agent.id]
         return waits
@@ -226,13 +226,13 @@ class TeamLeases(Part):
         return self.quorum.is_fenced(agent, generation)
 
     def end_reason(self, agent: str, generation: int) -> str:
-        """Why a start may not act any more, as far as is known here; '' if it may."""
+        """The reason why a start may not act any more, as far as is known here; '' if it may."""
         if self.is_fenced(agent, generation):
             return f"this start of {agent} is fenced"
         return self._team.mobility.end_reason(agent, generation)
 
     def recovery_blocker(self, agent: str, generation: int) -> str:
-        """Why an operator may not recover a coordinator here from its start `generation`; '' if they may."""
+        """The reason why an operator may not recover a start of a coordinator here; '' if they may."""
         ended = self._team.mobility.termination(agent)
         if agent in self.leased_agents and (
             known := self.quorum.terminations.covering_termination(agent, generation)
@@ -273,7 +273,7 @@ class TeamLeases(Part):
         return self.quorum.lease_records(agents, self._clock.monotonic())
 
     def on_located(self, host: str, record: LeaseRecord) -> None:
-        """A host reports what it knows of a coordinator under leases."""
+        """A host reports its records of a coordinator under leases."""
         self._apply_effects(self.quorum.on_located(host, record, self._clock.monotonic()))
 
     def _apply_effects(self, effects: Iterable[quorum.Effect]) -> None:
@@ -332,7 +332,7 @@ class TeamLeases(Part):
             )
         block, left = copy.block, copy.state != "RUN"
         if copy.is_unreadable:
-            # It is not resumed, and neither is an older one.
+            # Neither this copy nor an older one is resumed.
             return Checkpoint(
                 CheckpointId(copy.generation, copy.sequence, left), is_alive=False, interval=0.0
             )
@@ -369,7 +369,7 @@ class TeamLeases(Part):
 
     @property
     def not_final_yet(self) -> list[str]:
-        """The coordinators that have terminated here, not finally yet, and are not fenced."""
+        """The coordinators whose termination here is not final yet, and that are not fenced."""
         found = (self._team.mobility.termination(agent) for agent in sorted(self.leased_agents))
         return [
             copy.agent
@@ -382,13 +382,13 @@ class TeamLeases(Part):
         ]
 
     def allocate_generation(self, agent: str, above: int) -> int:
-        """A generation that no other host allocates, greater than all known ones."""
+        """A generation that no other host allocates, greater than all known generations."""
         known = (k.generation for k in self._team.mobility.known_states() if k.agent == agent)
         return next_recovery(max([above, *known]), self._mission.team.number(self._hello.host))
 
 
 def abandon_calls(machine: Machine, coordinator: str, reason: str) -> None:
-    """The calls of a coordinator or person on this host have ended for it: they may have started."""
+    """The calls of a coordinator or person on this host have ended for the caller: they may have started."""
     if agent := machine.agents.get(coordinator):
         machine.detach_caller(agent, RESTARTED, reason)
     machine.pending_calls.fail_running(coordinator, RESTARTED, reason)

@@ -1,7 +1,7 @@
 """Effects of operator commands on one host: `lfield forget`, `recover`, `pause`, `resume`, `estop`. Sans-IO.
 
-The operator's information may be outdated, so the host's own takes precedence: a coordinator that is alive
-here stays.
+The operator's information may be outdated, so the host's own records take precedence: a coordinator that is
+alive here is kept.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def declare_lost(team: Coordinators, agent: str) -> list[int]:
 def recover(
     team: Coordinators, leases: TeamLeases, host: str, number: int, request: RecoverRequest
 ) -> RecoverResponse:
-    """Resume a coordinator whose holder is permanently lost on `host`, which has this number in the team.
+    """Resume a coordinator whose holder is permanently lost on `host`, which has this `number` in the team.
 
     The copy that the operator confirmed must be unchanged. No start up to its fence may be made here. A
     terminated coordinator is not recovered; under leases a host knows of terminations if it was recently
@@ -66,7 +66,7 @@ def set_paused(team: Coordinators, machine: Machine, *, on: bool, order: bytes) 
 def set_ballot_hold(team: Coordinators, machine: Machine, ballot: bytes) -> None:
     """As `set_paused`, by the ballot about an activation in which this robot votes; b"" ends it.
 
-    It is not stored: the service starts no host before it knows the result.
+    The hold is not stored: the service starts no host before it knows the result.
     """
     if team.ballot == ballot:
         return
@@ -77,7 +77,7 @@ def set_ballot_hold(team: Coordinators, machine: Machine, ballot: bytes) -> None
 
 
 def _change_pause(team: Coordinators, machine: Machine, *, ordered: bool, ballot: bytes) -> None:
-    """Set both reasons for a pause. When it begins, calls under way end."""
+    """Set both reasons for a pause. When the pause begins, calls under way end."""
     was_paused = team.paused
     team.set_paused(ordered=ordered, ballot=ballot)
     if was_paused or not team.paused:
@@ -91,8 +91,8 @@ def _change_pause(team: Coordinators, machine: Machine, *, ordered: bool, ballot
 def set_emergency_stop(team: Coordinators, reason: str, order: bytes) -> None:
     """An emergency stop locks the devices of this host, for that reason, or is lifted ('').
 
-    `order` is the id of the order, b"" for a lock-out. The guards know it already: here it is only recorded
-    for the next start of this host.
+    `order` is the id of the order, b"" for a lock-out. The guards have already received the order; this
+    function only records it for the next start of this host.
     """
     team.set_stopped(reason)
     team.persist(EmergencyStopFlag(reason, order))
@@ -116,7 +116,7 @@ def _recovery_blocker(team: Coordinators, host: str, request: RecoverRequest) ->
 
 
 def wait_reason(team: Coordinators, machine: Machine, hosts: Sequence[str], agent: Agent) -> str:
-    """What a frozen coordinator waits for, in a word or two: a write, or its departure."""
+    """A short text about what a frozen coordinator waits for: a write, or its departure."""
     if agent.unreachable_reason:
         return "cannot be there in time"
     if team.write_trouble and team.write_ahead.is_pending_durable(agent.id):

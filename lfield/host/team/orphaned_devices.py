@@ -1,13 +1,15 @@
 """Dead-man's switch: detects devices whose last controlling coordinator is not confirmed alive. Sans-IO.
 
-A coordinator *uses* a device when a portal that it has called actuates it. From then on it is confirmed alive
+A coordinator *uses* a device when a portal that it has called actuates it. From then on the coordinator is
+confirmed alive
 
   - while a copy of it is here, or a host reports a copy;
-  - while the host to which it moved cannot be queried, but any host has contact with that: it may be there.
+  - while the host to which it moved cannot be queried, but any other host has contact with that host: the
+    coordinator may be there.
 
-The host in the newest record is queried regularly, and reports where the coordinator moved next. When that
-has not helped for half of the time-out, others are queried too. A terminated coordinator is only one that is
-no longer confirmed: the devices that it left, perhaps hovering, have the same time-out. A later start of it
+The host in the newest record is queried regularly, and reports where the coordinator moved next. When these
+queries do not find it for half of the time-out, other hosts are queried too. A terminated coordinator is not
+confirmed any more: the devices that it left, perhaps in hover, have the same time-out. A later start of it
 counts as the same coordinator.
 
 A person uses a device likewise, and counts as alive while a portal call of that person runs here.
@@ -30,7 +32,7 @@ from lfield.wire.coordinator_messages import CoordinatorState, Locate
 
 #: Seconds between two checks, while a device depends on a coordinator.
 CHECK_EVERY = 1.0
-#: The number of hosts queried at a time when the expected one does not know.
+#: The number of hosts queried at a time when the expected host does not know the coordinator.
 MAX_PARALLEL_QUERIES = 8
 
 
@@ -48,7 +50,7 @@ class MembershipView(Protocol):
 
 
 class _Coordinator(Struct):
-    """A coordinator: when it was last confirmed alive and last reported, and its newest record."""
+    """A coordinator: the times when it was last confirmed alive and last reported, and its newest record."""
 
     alive_at: float
     last_contact: float
@@ -56,15 +58,15 @@ class _Coordinator(Struct):
 
     @property
     def location(self) -> str:
-        """The host to which it was last known to move, or where it was; '' for none."""
+        """The host to which the coordinator was last known to move, or on which it was; '' if unknown."""
         return self.newest.where if self.newest is not None and not _is_ended(self.newest) else ""
 
     def mark_alive(self, now: float) -> None:
-        """A host has a copy of it."""
+        """A host has a copy of the coordinator."""
         self.alive_at = self.last_contact = now
 
     def on_state(self, host: str, record: CoordinatorState, now: float) -> None:
-        """A host reports it."""
+        """A host reports the coordinator."""
         if record.state in LIVE_STATES:
             self.mark_alive(now)
             record = structs.replace(record, where=host)
@@ -81,7 +83,7 @@ class DeadmanMonitor:
         self._users: dict[str, set[str]] = {}
         self._coordinators: dict[str, _Coordinator] = {}
         self._turn = 0
-        #: When `check` is due; None while no device depends on a coordinator.
+        #: The time when `check` is due; None while no device depends on a coordinator.
         self.due: float | None = None
 
     def on_used(self, device: str, coordinator: str, now: float) -> None:
@@ -93,13 +95,13 @@ class DeadmanMonitor:
         self.due = now + CHECK_EVERY if self.due is None else self.due
 
     def on_running(self, callers: Iterable[str], now: float) -> None:
-        """Portal calls of these persons are running here: they use the devices."""
+        """Portal calls of these persons are running here, and use the devices."""
         for caller in callers:
             if caller in self._coordinators:
                 self._coordinators[caller].mark_alive(now)
 
     def on_states(self, host: str, records: Iterable[CoordinatorState], now: float) -> None:
-        """A host reports what it knows of coordinators."""
+        """A host reports its records of coordinators."""
         for record in records:
             if record.agent in self._coordinators:
                 self._coordinators[record.agent].on_state(host, record, now)
@@ -127,7 +129,7 @@ class DeadmanMonitor:
         return [*gone, *(Send(host, Locate(agents)) for host in sorted(asked))]
 
     def _next_hosts(self, links: list[str]) -> set[str]:
-        """Some hosts, and others at the next call."""
+        """Some of the hosts; the next call returns others."""
         if not links:
             return set()
         first, self._turn = self._turn % len(links), self._turn + MAX_PARALLEL_QUERIES
@@ -138,7 +140,7 @@ class DeadmanMonitor:
         return now - last >= self._policies[device].after
 
     def _orphan(self, device: str) -> MakeDeviceSafe:
-        """Make a device safe: it depends on no coordinator until it is used again."""
+        """Make a device safe: the device depends on no coordinator until it is used again."""
         users, without = self._users.pop(device), self._policies[device]
         described = ", ".join(self._describe(name) for name in sorted(users))
         for name in users - set().union(*self._users.values()):

@@ -1,7 +1,7 @@
 """Interfaces through which the parts of a host use each other.
 
-No part imports another one (a contract in pyproject.toml): `HostCore` creates them and passes each to those
-that need it.
+No part imports another one (a contract in pyproject.toml): `HostCore` creates them and passes each to the
+parts that need it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class HostReachability(Protocol):
         """Whether a host is linked."""
 
     def lost_reason(self, host: str) -> str:
-        """Why a call need not wait for a host, '' if it may be reached in time."""
+        """The reason why a call need not wait for a host, '' if it may be reached in time."""
 
     def down_for(self, host: str) -> float:
         """For how many seconds a formerly linked host has had no link; 0 for one never linked."""
@@ -71,7 +71,7 @@ class CoordinatorOperations(Protocol):
     write_trouble: str
 
     def apply_effects(self, effects: Iterable[Effect]) -> None:
-        """Executes effects, those that depend on records once these are durable."""
+        """Executes effects; effects that depend on records wait until these are durable."""
 
     def is_departing(self, agent: Agent) -> bool:
         """Whether a frozen coordinator leaves for another host, or may have arrived there."""
@@ -80,7 +80,7 @@ class CoordinatorOperations(Protocol):
         """Saves a coordinator before a portal call; returns whether the call may begin at once."""
 
     def recover(self, agent: str, generation: int) -> bool:
-        """Continues a coordinator from its copy here; returns False if that is unreadable."""
+        """Continues a coordinator from its copy here; returns False if the copy is unreadable."""
 
     def record_existence(self) -> None:
         """Writes to the journal that this host has one."""
@@ -90,7 +90,7 @@ class CoordinatorOperations(Protocol):
 
 
 class LeaseRules(Protocol):
-    """What leases and fencing tokens allow; implemented by `TeamLeases`."""
+    """The permissions of leases and fencing tokens; implemented by `TeamLeases`."""
 
     leased_agents: frozenset[str]
     quorum: Quorum
@@ -109,10 +109,12 @@ class LeaseRules(Protocol):
         """Whether a coordinator may begin a portal call now; otherwise it waits or is stopped."""
 
     def end_reason(self, agent: str, generation: int) -> str:
-        """Why a start of a coordinator may not act any more; empty if it may."""
+        """The reason why a start of a coordinator may not act any more; empty if it may."""
 
     def actuation_deadline(self, caller: Agent | PendingCall, device: str) -> float:
-        """Until when a device may be actuated for a caller. Raises DeviceError if it may not."""
+        """The time until which a device may be actuated for a caller. Raises DeviceError if it may not be
+        actuated.
+        """
 
     def records(self, agents: Collection[str]) -> list[LeaseRecord]:
         """The lease records of coordinators."""
@@ -125,14 +127,16 @@ class SequencingDecisions(Sequencer, Protocol):
     """Starts and stops the startable coordinators of a host; implemented by `SequencingService`."""
 
     def abandon_wait(self, agent: Agent) -> bool:
-        """Ends the wait of a coordinator; returns whether it did wait."""
+        """Ends the wait of a coordinator; returns whether it waited."""
 
 
 class ReservationRules(Protocol):
-    """What reservations allow to persons; implemented by `ReservationService`."""
+    """The permissions of persons under reservations; implemented by `ReservationService`."""
 
     def may_serve_person(self, start: tuple[str, int], resource: str) -> bool:
-        """Whether a portal call of a person may start now; otherwise it waits. Raises Trap if it may not."""
+        """Whether a portal call of a person may start now; otherwise the call waits. Raises Trap if it is
+        denied.
+        """
 
     def drain_retried_persons(self) -> list[tuple[str, int]]:
         """The calls that waited and may try again; each is returned once."""

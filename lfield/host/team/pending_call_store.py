@@ -1,8 +1,8 @@
 """Durable store of pending asynchronous calls (`together`) on one host. Sans-IO (decision 46).
 
-A call starts when its record and the block of its coordinator are on disk; its result is reported when that
-is on disk. The record is deleted with, or after, the record of the coordinator that has fetched the result,
-and when the start that began the call is over: it has terminated, is fenced, or was recovered elsewhere.
+A call starts when its record and the block of its coordinator are on disk; its result is reported when the
+result is on disk. The record is deleted with, or after, the record of the coordinator that has fetched the
+result; also when the start that began the call is over: terminated, fenced, or recovered elsewhere.
 """
 
 from __future__ import annotations
@@ -54,8 +54,9 @@ class PendingCallStore(Part):
         self.is_polled = bool(self._records)
 
     def on_restored(self) -> None:
-        """The coordinators of this host resume: those informed that their calls may have started fetch
-        none."""
+        """The coordinators of this host resume: those that were informed that their calls may have started
+        fetch no result.
+        """
         terminated = [
             key
             for key, (page, _) in self._records.items()
@@ -115,12 +116,12 @@ class PendingCallStore(Part):
         self._durable_batch = event.number
         while self._completed and self._completed[0][0] <= event.number:
             _, key = self._completed.popleft()
-            # The calls of its start may have been cancelled meanwhile.
+            # The calls of the start may have been cancelled during the write.
             if key in self._records:
                 self._machine.pending_calls.on_persisted(key)
 
     def on_save(self, agent: Agent) -> bool:
-        """As `Coordinators.save`: the stored block contains the fetched results."""
+        """Delete the fetched results of a coordinator when it is saved: the stored block contains them."""
         effects = self._team.save(agent)
         if self._has_journal and not self._team.write_trouble:
             before = self._fetched.pop((agent.id, agent.generation), [])
@@ -128,7 +129,7 @@ class PendingCallStore(Part):
         return effects
 
     def on_departing(self, agent: Agent) -> None:
-        """A coordinator was packed to be sent: its fetched results are deleted when that is on disk."""
+        """A coordinator was packed to be sent: its fetched results are deleted when the copy is on disk."""
         if self._has_journal and (fetched := self._machine.pending_calls.drain_fetched(agent)):
             self._fetched.setdefault((agent.id, agent.generation), []).extend(fetched)
             self.is_polled = True
@@ -163,7 +164,7 @@ class PendingCallStore(Part):
                 self._cancel_start(start, why, starts)
 
     def _end_reason(self, start: StartId) -> str:
-        """Why a start will not fetch its calls, '' if it may."""
+        """The reason why a start will not fetch its calls, '' if it may."""
         return self._leases.end_reason(*start)
 
     def _cancel_start(self, start: StartId, why: str, pending: set[StartId]) -> None:

@@ -1,10 +1,10 @@
-"""Reachability of hosts: how long a coordinator waits for a host without a link; not at all for a lost one.
-Sans-IO.
+"""Reachability of hosts: the time for which a coordinator waits for a host without a link; it does not wait
+for a lost host. Sans-IO.
 
-A coordinator under a time limit is sent over a link only if something has just arrived from the other host,
-any other coordinator if something arrived within 2 s: sent to a silent host it would be in doubt for as long
-as the silence lasts, even beyond the limit. The host is probed first, and until it answers the coordinator
-can still continue where it is.
+A coordinator under a time limit is sent over a link only if a message has just arrived from the other host,
+any other coordinator if a message arrived within 2 s. A coordinator sent to a silent host would be in doubt
+during the silence, even beyond the limit. The host is probed first, and until it answers the coordinator can
+still continue where it is.
 
 A host that was linked has `unreachable_after` from the end of its link, not from the call. A call after half
 of that does not wait: the host is regarded as lost until it is linked again. A host that was never linked may
@@ -24,11 +24,11 @@ from lfield.wire.messages import QUESTION, GossipUpdate, Ping
 
 #: The fraction of `unreachable_after` after which an unlinked host counts as lost for new calls.
 LOST_FRACTION = 0.5
-#: Seconds of silence of a linked host, beyond the time of an answer, after which no coordinator is sent there
-#: that need not move.
+#: Seconds of silence of a linked host, beyond the time of an answer, after which only a coordinator that must
+#: move is sent there.
 SILENCE_TIMEOUT = 2.0
-#: A host from which something arrived within so many seconds is not probed: with less, a hop under a time
-#: limit takes one more round trip.
+#: A host from which a message arrived within this number of seconds is not probed: with a smaller number, a
+#: hop under a time limit takes one more round trip.
 FRESH_FOR = 0.1
 #: Seconds for which a coordinator over its time limit waits for the answer to a probe: the minimum, and the
 #: maximum for slow answers.
@@ -36,7 +36,7 @@ ANSWER_GRACE, MAX_ANSWER_GRACE = 0.3, 2.0
 
 
 class Reachability(Part):
-    """The liveness of other hosts as known to one host: it gossips, and sends probes."""
+    """The liveness of other hosts as known to one host, which sends gossip and probes."""
 
     def __init__(self, context: HostContext, membership: Membership, mobility: Mobility) -> None:
         self._environment, self._membership, self._clock = context.environment, membership, context.clock
@@ -44,7 +44,7 @@ class Reachability(Part):
         self._out, self._hosts = context.effects.append, context.team.hosts
         self.due = membership.due
         self.handles = {GossipUpdate: self._on_gossip}
-        #: When each host was last probed.
+        #: The time when each host was last probed.
         self._probed_at: dict[str, float] = {}
 
     def _on_gossip(self, host: str, message: GossipUpdate) -> None:
@@ -69,11 +69,11 @@ class Reachability(Part):
         self.due = self._membership.due
 
     def is_linked(self, host: str) -> bool:
-        """Whether a host is linked: then it is neither absent nor lost."""
+        """Whether a host is linked, and therefore neither absent nor lost."""
         return self._membership.is_linked(host)
 
     def is_silent(self, host: str) -> bool:
-        """Whether nothing has arrived for a while, or a probe remains unanswered."""
+        """Whether no message has arrived for a while, or a probe remains unanswered."""
         last_contact = self._membership.last_contact(host)
         if last_contact is None or not self._membership.is_linked(host):
             return False
@@ -85,9 +85,8 @@ class Reachability(Part):
         return silent or (self._is_overdue(host, last_contact) and now >= self._probed_at[host] + grace)
 
     def request_heartbeat(self, host: str, within: float = FRESH_FOR) -> None:
-        """Probe a linked host, unless a probe is under way or something has just arrived from it.
-
-        That means within `within` seconds for this call, and within 0.1 s for a repeated one.
+        """Probe a linked host, unless a probe is under way, or a message arrived within `within` seconds, or
+        within 0.1 s for a repeated call.
         """
         last_contact, now = self._membership.last_contact(host), self._clock.monotonic()
         if (
@@ -101,13 +100,14 @@ class Reachability(Part):
             self._out(Send(host, Ping(QUESTION)))
 
     def is_stale(self, host: str) -> bool:
-        """Whether nothing has arrived from a linked host for longer than between two heartbeats of a busy
-        link."""
+        """Whether no message has arrived from a linked host for longer than the heartbeat interval of a busy
+        link.
+        """
         last_contact = self._membership.last_contact(host)
         return last_contact is not None and self._clock.monotonic() - last_contact > SILENCE_TIMEOUT
 
     def contact_age(self, host: str) -> float:
-        """Seconds since something arrived from a host; infinite without a link."""
+        """Seconds since the last message from a host; infinite without a link."""
         last_contact = self._membership.last_contact(host) if self._membership.is_linked(host) else None
         return math.inf if last_contact is None else self._clock.monotonic() - last_contact
 
@@ -138,14 +138,15 @@ class Reachability(Part):
         return last_contact <= self._probed_at.get(host, -math.inf)
 
     def down_for(self, host: str) -> float:
-        """For how many seconds a formerly linked host has had no link; 0 for one never linked, or linked
-        now."""
+        """The seconds for which a formerly linked host has had no link; 0 for one never linked, or linked
+        now.
+        """
         if self._membership.last_contact(host) is None:
             return 0.0
         return self._membership.missing_for(host, self._clock.monotonic())
 
     def lost_reason(self, host: str) -> str:
-        """Why a call need not wait for a host, '' if it may be reached in time."""
+        """The reason why a call need not wait for a host, '' if it may be reached in time."""
         if self._membership.is_linked(host):
             return ""
         if host in self._membership.ended:

@@ -1,7 +1,7 @@
 """Reservations of one host, between its machine, its journal and the other hosts (`reservations` decides).
 
-The reservations of its own coordinators are read from their blocks (`HeldReservations.of_coordinator`), and
-renewed here or by messages, as long as the coordinators are here or wait to leave. Sans-IO.
+The reservations of its own coordinators are read from their blocks (`HeldReservations.of_coordinator`). They
+are renewed here or by messages, as long as the coordinators are here or wait to leave. Sans-IO.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from lfield.wire.reservation_messages import ReleaseReservation, RenewReservatio
 
 
 class ReservationService(Part):
-    """The reservations of one host's resources, and those that its coordinators have on other hosts.
+    """The reservations of one host's resources, and the reservations of its coordinators on other hosts.
 
     `is_linked` returns whether there is a link with a host.
     """
@@ -61,12 +61,12 @@ class ReservationService(Part):
         self._records = [page for page in records if isinstance(page, ReservationRecord)]
         #: The coordinators that are frozen here for a resource.
         self._waiting: dict[StartKey, Agent] = {}
-        #: The calls of persons that wait for a resource, and those that may try again.
+        #: The calls of persons that wait for a resource, and the calls that may try again.
         self._waiting_persons: set[StartKey] = set()
         self._retried_persons: list[StartKey] = []
         #: The reservations whose records are being written, with the number of the batch.
         self._unwritten: deque[tuple[int, str, int]] = deque()
-        #: When the reservations of each coordinator here were last renewed.
+        #: The time when the reservations of each coordinator here were last renewed.
         self._renewed: dict[str, tuple[Agent, float]] = {}
         #: Whether a coordinator was resumed since the last `poll_resumed`.
         self._moved = False
@@ -99,7 +99,7 @@ class ReservationService(Part):
             reason = f"{self._hello.host} cannot write its journal: {self._team.write_trouble}"
             raise Trap(LIMIT, reason, resource.id)
         if not self._leases.may_start_call(agent):
-            # It waits for the lease first, or is fenced and has stopped: it has no place in a queue.
+            # The coordinator waits for the lease first, or is fenced and has stopped: it is not in the queue.
             return 0
         start = agent.id, agent.generation
         self._waiting[start] = agent
@@ -166,7 +166,7 @@ class ReservationService(Part):
         self._apply_effects()
 
     def abandon_wait(self, agent: Agent) -> bool:
-        """Cancel a coordinator's wait; whether it did wait."""
+        """Cancel a coordinator's wait; returns whether it waited."""
         start = agent.id, agent.generation
         self._waiting.pop(start, None)
         waited = self._reservations.abandon_wait(start, self._clock.monotonic())
@@ -174,7 +174,7 @@ class ReservationService(Part):
         return waited
 
     def wait_reason(self, agent: Agent) -> str:
-        """What a frozen coordinator waits for, in a few words; '' if it is for no resource."""
+        """A short text about the resource that a frozen coordinator waits for; '' for none."""
         start = agent.id, agent.generation
         resource = self._reservations.waits_for(start) if self._waiting.get(start) is agent else ""
         if not resource:
@@ -189,7 +189,7 @@ class ReservationService(Part):
     # --- events ---------------------------------------------------------------------------------------
 
     def _on_message(self, host: str, message: ReservationMessage) -> None:
-        """A host reports on the holder of a resource of this one."""
+        """Another host reports on the holder of a resource of this host."""
         now = self._clock.monotonic()
         if self._team.paused:
             # Late renewals, from a host that did not know whether the holder had left, cause no loss.
@@ -257,7 +257,7 @@ class ReservationService(Part):
         self._renew(now)
         for start in sorted(self._reservations.concerned - self._waiting_persons):
             why = self._leases.end_reason(*start)
-            # Before that is on disk, a restart of this host would give the reservation back to this start.
+            # Before the record is on disk, a restart of this host would return the reservation to this start.
             if why and not self._team.write_ahead.is_pending_durable(start[0]):
                 self._reservations.on_start_ended(start, why, now)
         if not self._team.paused:
@@ -271,7 +271,7 @@ class ReservationService(Part):
         return resumed
 
     def _local_coordinators(self) -> list[Agent]:
-        """The coordinators that are here as far as is known; one in doubt may have moved on."""
+        """The coordinators that are here as far as is known; a coordinator in doubt may have moved on."""
         found = (self._machine.agents.get(name) for name in self._coordinators)
         return [agent for agent in found if agent is not None and not agent.ended and self._holds_any(agent)]
 
@@ -352,6 +352,6 @@ class ReservationService(Part):
             self._moved = True
 
     def _is_frozen(self, agent: Agent) -> bool:
-        """Whether a coordinator still waits here; not one that was resumed and waits to leave."""
+        """Whether a coordinator still waits here; False if it was resumed and waits to leave."""
         held = self._machine.agents.get(agent.id) is agent and agent.frozen and not agent.ended
         return held and not self._team.is_departing(agent)

@@ -1,8 +1,8 @@
 """Exclusive reservations of one host's resources (`reserve`, decision 53). Sans-IO: the time is passed in.
 
 A reservation has a number, a holder (one start of a coordinator) and a lease. Its record is on disk before
-the number is given out, and the numbers of a resource only rise, so a call with an outdated one is detected.
-Waiting coordinators form one FIFO queue for each resource, those that reserve and those that only call. All
+the number is given out, and the numbers of a resource only rise, so a call with an outdated number is
+detected. Waiting coordinators form one FIFO queue for each resource, whether they reserve or only call. All
 times are in seconds of the host's clock.
 """
 
@@ -27,7 +27,7 @@ RESERVED, LOST = "ReservedException", "ReservationLostException"
 
 
 class HeldReservation(Struct, frozen=True):
-    """A reservation: since when it is held, and when it expires unless it is renewed."""
+    """A reservation: the start of the hold, and its expiry unless it is renewed."""
 
     resource: str
     number: int
@@ -39,7 +39,7 @@ class HeldReservation(Struct, frozen=True):
 class PersistHolder(Struct, frozen=True):
     """Record the holder of a resource (`holder` None: free), then call `Reservations.on_durable`.
 
-    With `is_lazy` it may be written together with other records: nothing depends on it.
+    With `is_lazy` it may be written together with other records: no effect depends on it.
     """
 
     resource: str
@@ -74,7 +74,9 @@ class ReservationDenied(Exception):
 
 
 class _Waiting(Struct, frozen=True):
-    """An entry in a queue. A call that `may_proceed` stays there until it starts, or until its deadline."""
+    """An entry in a queue. A call that `may_proceed` stays in the queue until it starts, or until its
+    deadline.
+    """
 
     start: StartKey
     purpose: Literal["take", "call"]
@@ -89,10 +91,10 @@ class _Resource(Struct):
     holder: StartKey | None = None
     since: float = 0.0
     until: float = 0.0
-    #: Whether the record of the holder is on disk, and whether it has received its number.
+    #: Whether the record of the holder is on disk, and whether the holder has received its number.
     is_durable: bool = False
     is_granted: bool = False
-    #: How the last reservation ended: its holder, the reason, and when.
+    #: The end of the last reservation: its holder, the reason, and the time.
     ended: tuple[StartKey, str, float] | None = None
     queue: deque[_Waiting] = field(default_factory=deque)
     #: Calls that have waited for the maximum time, until they are repeated.
@@ -103,7 +105,7 @@ class _Resource(Struct):
         return next((waiting for waiting in self.queue if waiting.start == start), None)
 
     def can_be_replaced_by(self, start: StartKey) -> bool:
-        """Whether an earlier start of the same coordinator holds it, or this one held it."""
+        """Whether this start, or an earlier start of the same coordinator, holds the resource."""
         return self.holder is not None and self.holder[0] == start[0] and self.holder[1] <= start[1]
 
     def is_claimed_earlier(self, start: StartKey) -> bool:
@@ -116,8 +118,8 @@ class Reservations:
     """The reservations of one host's resources.
 
     `first` is a number that no earlier incarnation of this host can have given out, for a resource without a
-    record. `wait` returns for how long others wait for a resource; `busy(resource, agent)` whether a portal
-    call of another coordinator than that is under way in it.
+    record. `wait` returns the seconds for which others wait for a resource; `busy(resource, agent)` returns
+    whether a portal call of a coordinator other than `agent` is under way in it.
     """
 
     def __init__(
@@ -145,7 +147,7 @@ class Reservations:
 
     @property
     def due(self) -> float | None:
-        """When `tick` is due next, None for never."""
+        """The time when `tick` is due next, None for never."""
         return min(self._dues(), default=None)
 
     def _dues(self) -> Iterator[float]:
@@ -165,7 +167,7 @@ class Reservations:
         return self._resources
 
     def is_contended(self, resource: str) -> bool:
-        """Whether calls of a resource need permission: it is reserved, or requested."""
+        """Whether calls of a resource need permission because it is reserved or requested."""
         found = self._resources.get(resource)
         return found is not None and (
             found.holder is not None or bool(found.queue) or bool(found.late_starts)
@@ -206,11 +208,12 @@ class Reservations:
     def may_serve(
         self, start: StartKey, resource: str, number: int, now: float, *, nested: bool = False
     ) -> bool:
-        """Whether a portal call may start for the coordinator with this number (0: none); else it waits.
+        """Whether a portal call may start for the coordinator with this number (0: none); otherwise the call
+        waits.
 
         Raises ReservationDenied, immediately for a coordinator with another reservation (`nested`) that would
-        have to wait. A call of the holder without the number is made outside of its block: it has left the
-        block, and the release message was lost or is in transit.
+        have to wait. A holder that calls without the number has left its block, and the release message was
+        lost or is in transit.
         """
         found = self._find(resource, now)
         if number:
@@ -254,7 +257,7 @@ class Reservations:
             self._end(resource, found, "it has left the block", now)
 
     def on_start_ended(self, start: StartKey, why: str, now: float) -> None:
-        """A start acts no more: it has terminated, or is fenced."""
+        """A start may not act any more: it has terminated, or is fenced."""
         for resource, found in self._resources.items():
             self._leave_queue(found, start)
             if found.holder == start:
@@ -274,7 +277,7 @@ class Reservations:
     # --- disk and time --------------------------------------------------------------------------------
 
     def on_durable(self, resource: str, number: int, now: float) -> None:
-        """The record of a holder is on disk: it may receive its number."""
+        """The record of a holder is on disk: the holder may receive its number."""
         found = self._resources[resource]
         if found.holder is not None and found.number == number and not found.is_durable:
             found.is_durable, found.until = True, now + self._lease
@@ -332,7 +335,7 @@ class Reservations:
         self._advance_queue(resource, found, now)
 
     def _advance_queue(self, resource: str, found: _Resource, now: float) -> None:
-        """Resume the first in the queue: calls at once, a reservation when no other call is under way."""
+        """Resume the first in the queue: a call at once, a reservation when no other call is under way."""
         for place, waiting in enumerate(found.queue):
             if found.holder is not None:
                 return
@@ -362,7 +365,7 @@ class Reservations:
     # --- messages -------------------------------------------------------------------------------------
 
     def _denial_text(self, resource: str, found: _Resource, now: float, start: StartKey) -> str:
-        """Why a coordinator cannot have a resource."""
+        """The reason why a coordinator cannot have a resource."""
         if found.holder is not None:
             return f"{resource} is {ReservedBy(found.holder[0], found.since).sentence(now)}"
         ahead = next((each for each in found.queue if each.purpose == "take" and each.start != start), None)
@@ -371,7 +374,7 @@ class Reservations:
         return f"{resource} is executing calls of others, and can be reserved only after these"
 
     def _loss_reason(self, resource: str, found: _Resource, start: StartKey, number: int, now: float) -> str:
-        """Why a number is not valid any more."""
+        """The reason why a number is not valid any more."""
         if found.holder is not None and found.holder != start:
             return f"{resource} was reserved by {found.holder[0]} {now - found.since:.1f} s ago"
         if found.ended is not None and found.ended[0] == start:

@@ -5,9 +5,9 @@ was not written for. So a new start waits until every host of the deployment wit
 with another bundle cannot be linked, so it counts as missing. Hosts are excluded by the devices file
 (`start: {without: [...]}`) or by an operator's command (`lfield start --without HOST`).
 
-A vehicle in the air at a new start was left there by an earlier one: the start is then held until an
+A vehicle in the air at a new start was left there by an earlier start: the new start is then held until an
 operator's command. The same applies after an emergency stop during the wait. A vehicle that does not report
-whether it is on the ground (perhaps its host has not opened it yet) is queried until it does, or until an
+whether it is on the ground (perhaps its host has not opened it yet) is queried until it reports, or until an
 operator excludes its host. The vehicles of an excluded host count as long as that host is linked.
 """
 
@@ -21,7 +21,8 @@ from lfield.text.log_messages import LogLine
 from lfield.wire.fields import truncate
 from lfield.wire.observer_messages import StartStatus, UnlinkableHost
 
-#: Seconds until the wait is logged again: the first interval, and the longest; each is twice the last.
+#: Seconds until the wait is logged again: the first interval, and the longest; each interval is twice the
+#: last one.
 FIRST_REPEAT, LONGEST_REPEAT = 10.0, 300.0
 #: Minimum seconds between two lines when the missing hosts change.
 LOG_INTERVAL = 1.0
@@ -32,7 +33,7 @@ QUERY_EVERY = 1.0
 
 
 class LinkRefusal(NamedTuple):
-    """Why no link with a host can be made, and its bundle, b"" if unknown."""
+    """The reason why no link with a host can be made, and the bundle of that host, b"" if unknown."""
 
     reason: str
     bundle: bytes
@@ -42,8 +43,8 @@ class Readiness:
     """Whether the hosts that a new start needs are present.
 
     `here` is this host. `needed` are the hosts with resources, in the order of the deployment, and `without`
-    those that are excluded. `vehicles` are the hosts, this one included, with devices that can be in the
-    air. `is_linked` returns whether a host is linked now; times are in seconds of one clock.
+    the excluded hosts. `vehicles` are the hosts, this one included, with devices that can be in the air.
+    `is_linked` returns whether a host is linked now; times are in seconds of one clock.
     """
 
     def __init__(
@@ -60,12 +61,12 @@ class Readiness:
         self._without_by_command: set[str] = set()
         #: The hosts that cannot be linked.
         self.refusals: dict[str, LinkRefusal] = {}
-        #: When each host lost its link before the start.
+        #: The time when each host lost its link before the start.
         self._lost: dict[str, float] = {}
-        #: Why the start needs an operator's command, '' if it does not.
+        #: The reason why the start needs an operator's command, '' if it does not.
         self.held = ""
-        #: When each host was queried for its vehicles, the hosts whose vehicles are all on the ground, and by
-        #: host the vehicles that have not reported whether they are.
+        #: The time when each host was queried for its vehicles; the hosts whose vehicles are all on the
+        #: ground; and by host the vehicles that have not reported whether they are.
         self._queried_at: dict[str, float] = {}
         self._on_ground: set[str] = set()
         self._unknown: dict[str, list[str]] = {}
@@ -77,7 +78,7 @@ class Readiness:
     # --- events ---------------------------------------------------------------------------------------
 
     def on_refused(self, host: str, reason: str, bundle: bytes) -> None:
-        """No link with a host can be made, for that reason; '' when it can again."""
+        """No link with a host can be made, for that reason; '' when a link is possible again."""
         self.refusals.pop(host, None)
         if reason:
             self.refusals[host] = LinkRefusal(reason, bundle)
@@ -90,7 +91,7 @@ class Readiness:
     def on_unlinked(self, host: str, now: float) -> None:
         """A link with a host closed."""
         self._lost[host] = now
-        # All are queried again then: it may take long until this one is back.
+        # All hosts are queried again then: this one may be absent for long.
         self._query_all_again()
 
     def on_vehicles(self, host: str, on_ground: Mapping[str, bool | None]) -> None:
@@ -138,8 +139,7 @@ class Readiness:
 
     @property
     def waited_for(self) -> list[str]:
-        """The hosts that the start waits for: missing ones, and those with vehicles that may be in the
-        air."""
+        """The hosts that the start waits for: missing hosts, and hosts of vehicles that may fly."""
         missing = self.missing
         return [
             *missing,
@@ -162,7 +162,7 @@ class Readiness:
     def _unknown_hosts(self) -> list[str]:
         """The hosts whose vehicles may be in the air.
 
-        An excluded host counts while it is linked: it may not exist at all.
+        An excluded host counts only while it is linked: it may not exist.
         """
         unsure = [host for host in self._vehicles if host not in self._on_ground]
         return [host for host in unsure if host not in self._without or self._is_linked(host)]
@@ -182,7 +182,7 @@ class Readiness:
         return [UnlinkableHost(h, truncate(r.reason), r.bundle) for h, r in sorted(self.refusals.items())]
 
     def reasons(self, now: float) -> Mapping[str, str]:
-        """Why the start waits for each of these hosts."""
+        """The reasons why the start waits for each of these hosts."""
         return {host: self._reason(host, now) for host in self.waited_for}
 
     def _reason(self, host: str, now: float) -> str:
@@ -202,7 +202,7 @@ class Readiness:
 
     @property
     def due(self) -> float | None:
-        """When something is to be logged or queried again, None for never."""
+        """The time of the next log line or query, None for never."""
         asked = [
             self._queried_at[host] + QUERY_EVERY for host in self._unknown_hosts() if host in self._queried_at
         ]
@@ -211,7 +211,7 @@ class Readiness:
     def line(self, agents: Sequence[str], now: float) -> LogLine | None:
         """The log line about the wait of these coordinators, None when none is due.
 
-        It is due at once when the missing hosts have changed, then at increasing intervals.
+        A line is due at once when the missing hosts have changed, then at increasing intervals.
         """
         now_waited_for = (self.held, tuple(self.waited_for), tuple(sorted(self.refusals)))
         is_changed = now_waited_for != self._logged

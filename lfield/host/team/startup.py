@@ -1,6 +1,6 @@
-"""Start of one host's own coordinators: when, and which of them are not started. Sans-IO.
+"""Start of one host's own coordinators: its time, and the coordinators that are not started. Sans-IO.
 
-A coordinator that resumes from the journal never waits here: only a new start does (`Readiness`).
+A coordinator that resumes from the journal never waits: only a new start does (`Readiness`).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from lfield.wire.coordinator_messages import CoordinatorState
 from lfield.wire.messages import GroundQuery, GroundReport
 from lfield.wire.observer_messages import StartResponse, StartStatus
 
-#: Why an emergency stop during the wait holds the start.
+#: The reason why an emergency stop during the wait holds the start.
 EMERGENCY_STOPPED = "an emergency stop holds ('lfield estop --lift' ends it)"
 PAUSED = "the mission is paused; 'lfield resume' continues it"
-#: Why the vote about an activation holds the start.
+#: The reason why the vote about an activation holds the start.
 VOTE_OPEN = "the result of a vote about an activation is not known; 'lfield status' shows it"
 #: Minimum seconds between two checks.
 CHECK_EVERY = 0.25
@@ -60,13 +60,13 @@ class Startup(Part):
         )
         self._lease_wait_logged = self._pause_logged = False
         self._checked_at = 0.0
-        #: The last reported wait: coordinators, hosts, and why it is held.
+        #: The last reported wait: coordinators, hosts, and the reason for the hold.
         self._reported_wait: tuple[list[str], list[str], str] = [], [], ""
         # Other hosts matter only to a host that starts coordinators.
         queried = self._hosts if self.own_agents else ()
         self._gate = StartGate(self.own_agents, [other for other in queried if other != host])
         self._gate.exclude(self.readiness.without)
-        #: The batch with the number of a start, and that number, until it is on disk.
+        #: The batch with the number of a start, and this number, until the batch is on disk.
         self._pending_count: tuple[int, int] | None = None
 
     @property
@@ -102,7 +102,7 @@ class Startup(Part):
         self.check()
 
     def on_refused(self, host: str, reason: str, bundle: bytes) -> None:
-        """No link with a host can be made, for that reason; '' when it can again."""
+        """No link with a host can be made, for that reason; '' when a link is possible again."""
         self.readiness.on_refused(host, reason, bundle)
         self.check()
 
@@ -118,7 +118,7 @@ class Startup(Part):
             self._start_coordinators(counted)
 
     def check(self) -> None:
-        """Something has changed: start the coordinators if possible, and report the wait."""
+        """After a change, start the coordinators if possible, and report the wait."""
         self._checked_at = self._clock.monotonic()
         self._start_if_ready()
         status = self.status
@@ -135,12 +135,13 @@ class Startup(Part):
             self.check()
 
     def on_halted(self) -> None:
-        """The host stops: nothing starts any more."""
+        """The host stops: no coordinator starts any more."""
         self.due = None
 
     def _update_due(self) -> None:
-        """`check` may wait for other conditions too (a lease, for example), so `CHECK_EVERY` passes between
-        two."""
+        """Set the time of the next check. It may wait for other conditions too, such as a lease, so
+        `CHECK_EVERY` seconds pass between two checks.
+        """
         waits = self._gate.is_waiting and not self._team.is_halted
         due = self.readiness.due if waits else None
         self.due = None if due is None else max(due, self._checked_at + CHECK_EVERY)
@@ -195,14 +196,14 @@ class Startup(Part):
 
     @property
     def _pause_reason(self) -> str:
-        """What pauses the mission, '' if nothing does."""
+        """The reason for a pause of the mission, '' without a pause."""
         return VOTE_OPEN if self._team.ballot else PAUSED if self._team.paused else ""
 
     # --- operators ------------------------------------------------------------------------------------
 
     @property
     def status(self) -> StartStatus | None:
-        """What the coordinators of this host that have not started wait for; None if none waits."""
+        """The conditions for the start of the waiting coordinators of this host; None if none waits."""
         if not self._gate.is_waiting or self._team.is_halted or not (agents := self._new_starts()):
             return None
         found = self.readiness.status(agents)
@@ -259,7 +260,7 @@ class Startup(Part):
         return self._lease_wait_logged
 
     def _start_coordinators(self, counted: int) -> None:
-        """Start the coordinators, once the number of the start is on disk, and no later one is known."""
+        """Start the coordinators, once the number of the start is on disk, and no later start is known."""
         known = self._team.mobility.known_states()
         self._gate.on_generations(known)
         self._gate.require_above(
@@ -275,13 +276,13 @@ class Startup(Part):
         for agent, why in against.items():
             if why:
                 self._log(log_messages.START_REFUSED.line(agent=agent, reason=why))
-                # Other hosts have to know that an end in their journals is not followed by a start.
+                # Other hosts have to know that no start follows an end in their journals.
                 self._team.apply_effects(self._team.mobility.announce_end(agent))
             else:
                 self._team.apply_effects(self._team.mobility.start(agent, self._gate.next_generation))
 
     def _blocking_reason(self, agent: str, known: list[CoordinatorState]) -> str:
-        """Why a coordinator of this host is not started now, '' if it may be."""
+        """The reason why a coordinator of this host is not started now, '' if it may be."""
         alive = "is alive on another host" if self._gate.is_alive(agent, known) else ""
         parked = self._gate.parked_on(agent, known)
         elsewhere = (

@@ -1,1 +1,1 @@
-"""Compact coding of what a link carries: transfers as deltas, messages as compressed streams. Sans-IO."""
+"""Compact coding of the data of a link: transfers as deltas, messages as compressed streams. Sans-IO."""

@@ -38,10 +38,10 @@ def encode_delta(new: Buffer, old: Buffer) -> bytes:
 
 
 def expand_delta(delta: Buffer, old: Buffer, size: int) -> bytes:
-    """The first `size` bytes of what a delta describes.
+    """The first `size` bytes of the string that a delta describes.
 
-    Expands at most CHUNK bytes beyond what it returns, whatever the delta contains. Raises WireError if the
-    delta is malformed or does not have that many bytes.
+    Expands at most CHUNK bytes more than it returns, also for a malicious delta. Raises WireError if the
+    delta is malformed or has fewer bytes.
     """
     base, found, length = memoryview(old), list[bytes](), 0
     rest: Buffer = delta

@@ -1,7 +1,8 @@
 """Compresses the messages of a link in the context of earlier ones: deflate streams (RFC 1951). Sans-IO.
 
-Each message ends at a byte boundary (sync flush), whose constant end is not sent, as in RFC 7692. So a report
-that repeats the previous one costs a few bytes. Both ends process the messages of one direction in order.
+Each message ends at a byte boundary (sync flush), and the constant end of the flush is not sent, as in RFC
+7692. So a report that repeats the previous one costs a few bytes. Both ends process the messages of one
+direction in order.
 """
 
 from __future__ import annotations

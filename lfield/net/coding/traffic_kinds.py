@@ -1,4 +1,4 @@
-"""The kinds of traffic of a link: for counting, and for what is sent first on a slow path."""
+"""The kinds of traffic of a link: for counting, and for the order of sending on a slow path."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 class TrafficKind(IntEnum):
     """In order of priority.
 
-    Stops with their answers precede everything. Messages about coordinators and what they have reserved are
-    of the same kind as the coordinators, because they must not overtake them, and so is the last message of a
-    link; everything else between hosts is control.
+    Stops with their answers precede all other traffic. Messages about coordinators and their reservations are
+    of the same kind as the coordinators, because they must not overtake them. The last message of a link is
+    of this kind too; all other messages between hosts are control.
     """
 
     STOP = 0
@@ -83,7 +83,7 @@ def kind_of(message: Message) -> TrafficKind:
 class TrafficBytes:
     """Bytes of the frames of a link, sent and received, by kind; without TLS and headers of TCP and IP.
 
-    They are counted in `total` as well, which is for several links.
+    The bytes are also counted in `total`, which is for several links.
     """
 
     def __init__(self, total: TrafficBytes | None = None) -> None:

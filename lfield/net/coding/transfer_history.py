@@ -1,12 +1,12 @@
 """Encodes transfers as deltas against the last transfer of the same coordinator on a link. Sans-IO.
 
-Both ends of a link keep the last transfer of each coordinator, in either direction, as far as they fit. A
+Both ends of a link keep the last transfer of each coordinator, in either direction, up to a limit of bytes. A
 delta names its reference by agent and digest. If the receiver does not have it (two transfers crossed), it
 requests the whole transfer.
 
 A delta frame contains: size of the whole transfer (4 bytes), digest of the reference (8), length of the
-agent's name (2), name, delta. Numbers are big-endian. It needs no checksum, because the expanded transfer has
-two.
+agent's name (2), name, delta. Numbers are big-endian. The frame needs no checksum, because the expanded
+transfer has two.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from lfield.wire.framing import HEADER_SIZE, frame
 if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
 
-#: Maximum bytes kept for a link. What does not fit is not kept and sent whole, instead of evicting what is
-#: in use: coordinators that take turns would evict one another. Both ends forget a coordinator after so many
-#: transfers of others.
+#: Maximum bytes kept for a link. A transfer that does not fit is not kept and is sent whole, instead of
+#: evicting others: coordinators that take turns would evict one another. Both ends remove a coordinator after
+#: this number of transfers of others.
 MAX_KEPT, FORGET_AFTER = 512 << 10, 64
-#: Up to this round trip in seconds nothing is coded: the network takes less time for the bytes than the
-#: processor for coding them.
+#: Up to this round trip in seconds transfers are not coded: the network takes less time for the bytes than
+#: the processor for coding them.
 FAST_PATH = 0.001
 
 _START = struct.Struct(">I8sH")
@@ -47,7 +47,7 @@ class Delta(NamedTuple):
         return expand_delta(self.delta, self.reference, self.size)
 
     def leading_bytes(self) -> bytes:
-        """As much of the transfer as has its header. Raises WireError."""
+        """The beginning of the transfer, with its header. Raises WireError."""
         return expand_delta(self.delta, self.reference, min(self.size, MAX_TRANSFER_HEADER))
 
 
@@ -61,12 +61,13 @@ class TransferHistory:
     """The last transfers of a link, as payloads of TRANSFER frames, by coordinator."""
 
     def __init__(self) -> None:
-        #: The payload, whether this end sent it, and its number; the least recently used first.
+        #: The payload, whether this end sent it, and its number; the least recently used one first.
         self._kept: dict[str, tuple[Buffer, bool, int]] = {}
         self._size = self._count = 0
 
     def encode(self, agent: str, whole: bytes, *, is_fast: bool) -> bytes:
-        """The frame to send for a transfer, given as a TRANSFER frame; keeps that as the next reference.
+        """The frame to send for a transfer, given as a TRANSFER frame; keeps this transfer as the next
+        reference.
 
         `is_fast`: whether the network takes less time for the bytes than the processor for the delta.
         """

@@ -26,8 +26,8 @@ class ConnectionAttempt:
     """An attempt at `address`; `calling` creates the link of a connection.
 
     An address at which another host than `host` answers counts as failed while others remain. `unanswered`
-    holds addresses of any host that have failed lately; they are tried last. It is updated here. A silent
-    address is tried again after `retry_pause` seconds.
+    holds addresses of any host that have failed lately; they are tried last. This object updates the set. A
+    silent address is tried again after `retry_pause` seconds.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class ConnectionAttempt:
             lookups.cancel()
 
     async def _connected(self, lookups: AddressLookups) -> tuple[socket.socket, ResolvedAddress]:
-        """A connection to an address that has not failed. Raises the OSError of the last one.
+        """A connection to an address that has not failed. Raises the OSError of the last address.
 
         The race starts again when a look-up has a result, so that a slow name server delays no address.
         """
@@ -107,7 +107,7 @@ class ConnectionAttempt:
             await asyncio.gather(race, return_exceptions=True)
 
     async def _new_link(self, made: socket.socket, host: str) -> StreamLink:
-        """The link of a connection; only `host` may answer, if it is stated."""
+        """The link of a connection; only `host` may answer, if it is given."""
 
         def link() -> StreamLink:
             new = self._make_link()
@@ -118,7 +118,9 @@ class ConnectionAttempt:
 
     @property
     def is_mixed(self) -> bool:
-        """Whether several addresses were tried, and one failed for another reason than a missing listener."""
+        """Whether several addresses were tried, and one of them failed for a reason other than a missing
+        listener.
+        """
         return not all(isinstance(error, ConnectionRefusedError) for error in self._failures.values())
 
     def failure_text(self, why: str) -> str:

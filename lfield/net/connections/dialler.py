@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: The first pause between two attempts in seconds; `retry_pause` has the longest. An unanswered attempt
 #: repeats itself (`lfield.address_race`).
 FIRST_RETRY = 0.05
-#: A host dialled for less than this may still be starting; that is not logged.
+#: Seconds: a host dialled for a shorter time may still be starting, which is not logged.
 REPORT_AFTER = 3.0
 
 
@@ -32,7 +32,7 @@ class DialOwner(SessionOwner, Protocol):
         """Whether a link with a host is needed now."""
 
     def link_of(self, host: str) -> Session | None:
-        """The current link with a host. A suspected link remains current until it is replaced."""
+        """The current link with a host. A suspected link remains current until another one replaces it."""
 
     def on_dialled(self, host: str) -> None:
         """An attempt has ended."""
@@ -56,7 +56,7 @@ class Dialler:
         self.session: Session | None = None
         #: Whether an attempt has failed since the last link.
         self.has_failed = False
-        #: What was logged since the last link, and since when the host is dialled.
+        #: The log lines since the last link, and the time since when the host is dialled.
         self._reported: set[str] = set()
         self._since = clock.monotonic()
         self._task = spawn(self._run())
@@ -94,17 +94,17 @@ class Dialler:
                     self._reset_reports()
                 elif reason:
                     self._report(session, reason)
-            # A slow attempt needs no further delay: the path may just have returned.
+            # A slow attempt needs no further delay: the path may just work again.
             await asyncio.sleep(max(FIRST_RETRY, wait - (now() - start)))
             wait = min(retry_pause(now() - self._since), wait * 1.5)
 
     async def _dial(self, session: Session) -> str:
-        """Dial, and wait for the end of the link. Returns why it ended, or was not made."""
+        """Dial, and wait for the end of the link. Returns the reason why the link ended, or was not made."""
         try:
             link = await self._transport.connect(self._address, session, self._host)
             there = self._owner.link_of(self._host)
             if there not in (None, session) and not there.is_suspected:
-                # The host has dialled meanwhile, or the silent link has recovered.
+                # The host has dialled in the meantime, or the silent link has recovered.
                 link.close()
             else:
                 session.open(link)

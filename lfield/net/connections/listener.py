@@ -48,8 +48,8 @@ class PortListener:
     """Listens at every address of a host that belongs to this computer.
 
     `serve` creates a server for a bound socket, `note` writes a log line, and `why` explains an error to the
-    user. When a name resolves to other addresses, the sockets follow. A failed attempt is repeated, and an
-    address of several that this computer does not have yet is tried again.
+    user. When a name resolves to other addresses, the sockets follow. A failed attempt is repeated, and so is
+    an address, one of several, that this computer does not have yet.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class PortListener:
         self._servers: dict[ResolvedAddress, SocketServer] = {}
         #: The sockets by address.
         self._addresses: dict[ResolvedAddress, str] = {}
-        #: The logged reasons of addresses at which it does not listen.
+        #: The logged reasons why this host does not listen at an address.
         self._failures: dict[ResolvedAddress, str] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._is_closed = False
@@ -91,7 +91,7 @@ class PortListener:
 
     @property
     def address(self) -> str:
-        """The listening addresses, with the actual port if 0 was requested; of one name only the first."""
+        """The listening addresses, with the actual port if 0 was requested; for one name only the first."""
         addresses = list(self._addresses.values())
         return addresses[0] if len(self._each) == 1 else ",".join(addresses)
 
@@ -139,7 +139,7 @@ class PortListener:
         self._failures = failures
 
     async def _bind(self, found: list[ResolvedAddress]) -> dict[ResolvedAddress, str]:
-        """Bind addresses. Returns the reasons of those that failed."""
+        """Bind addresses. Returns the reasons of failures, by address."""
         failures: dict[ResolvedAddress, str] = {}
         for at in found:
             try:
@@ -154,13 +154,13 @@ class PortListener:
         return failures
 
     async def _listen(self, at: ResolvedAddress) -> tuple[SocketServer, str]:
-        """The server at an address, and that address with its port. Raises OSError."""
+        """The server at an address, and this address with its port. Raises OSError."""
         made = bound_socket(at, at.address[1] or self._real_port())
         name = socket_address(made.getsockname())
         try:
             return await self._serve(made), name
         except BaseException:
-            # Another socket may have been bound to the same address, and may listen there by now.
+            # Another socket may have been bound to the same address, and may listen there now.
             made.close()
             raise
 

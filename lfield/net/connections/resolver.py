@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from lfield.net.transport import split_address
 
-#: Maximum number of concurrent lookups of one name; a further one fails at once.
+#: Maximum number of concurrent lookups of one name; a further look-up fails at once.
 MAX_LOOKUPS = 4
 #: Seconds for the look-ups of the other addresses of a host, after one has an address.
 PREFERENCE_TIME = 0.25
@@ -69,7 +69,7 @@ async def resolve(host: str, port: int, *, passive: bool = False) -> list[Resolv
             found = resolve_blocking(host, port, passive=passive)
         except (OSError, UnicodeError) as error:
             found = error
-        # The loop may be closed by now, without waiters.
+        # The loop may be closed now, without waiters.
         with suppress(RuntimeError):
             loop.call_soon_threadsafe(done, found)
 
@@ -89,7 +89,7 @@ class AddressLookups:
         self._tasks = [asyncio.ensure_future(resolve(*each, passive=passive)) for each in endpoints]
 
     async def settle(self) -> None:
-        """Wait for the first addresses, and a short time for those that the user prefers.
+        """Wait for the first addresses, and a short time for the addresses that the user prefers.
 
         Raises OSError and UnicodeError when no look-up has an address.
         """
@@ -121,12 +121,12 @@ class AddressLookups:
         """End the look-ups without a result."""
         for task in self._tasks:
             if not task.cancel() and not task.cancelled():
-                # An error that no task has retrieved is not a fault.
+                # An error that no task has retrieved is no fault.
                 task.exception()
 
 
 def resolve_blocking(host: str, port: int, flags: int = 0, *, passive: bool = False) -> list[ResolvedAddress]:
-    """The same, blocking."""
+    """The addresses of a name, as of `resolve`; blocks the thread."""
     flags |= socket.AI_PASSIVE if passive else 0
     rows = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=flags)
     return list(dict.fromkeys(ResolvedAddress(family, address) for family, _, _, _, address in rows))  # type: ignore[arg-type]

@@ -1,8 +1,8 @@
 """A standby connection: authenticated and idle on another path than the link, until either side makes it the
 link.
 
-Both sides send a Hello of the role "standby"; the dialling side then sends rare keep-alives (Ping), which
-the other one answers. A Hello of the role "host", from either side, starts the ordinary handshake of a link.
+Both sides send a Hello of the role "standby"; the dialling side then sends rare keep-alives (Ping), which the
+other side answers. A Hello of the role "host", from either side, starts the ordinary handshake of a link.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from lfield.net.transport import Link
     from lfield.wire.coordinator_messages import Transfer
 
-#: Seconds within which a keep-alive is answered, and after which the accepting side misses them.
+#: Seconds within which a keep-alive is answered, and after which the accepting side regards keep-alives as
+#: missing.
 ANSWER_TIMEOUT, MISSED_AFTER = 5.0, 3 * IDLE_PING_EVERY
 
 
@@ -36,7 +37,7 @@ class StandbyOwner(Protocol):
         """The monotonic time."""
 
     def on_ready(self, connection: StandbyConnection) -> None:
-        """The peer keeps the connection too."""
+        """The peer also keeps the connection."""
 
     def on_activated(self, connection: StandbyConnection, hello: Hello) -> None:
         """The peer makes the connection the link."""
@@ -52,12 +53,13 @@ class StandbyConnection:
 
     def __init__(self, owner: StandbyOwner, host: str, now: float, *, dialled: bool) -> None:
         self._owner, self.host, self.dialled = owner, host, dialled
-        #: Whether both sides keep it, and whether they ever did.
+        #: Whether both sides keep the connection, and whether they ever kept it.
         self.is_ready = self.was_ready = False
-        #: Events: the peer has answered or closed it; it is closed, or made the link.
+        #: Events: the peer has answered or closed the connection; the connection is closed, or has become the
+        #: link.
         self.settled, self.ended = asyncio.Event(), asyncio.Event()
         self._traffic, self._round_trip = LinkTraffic(), SmoothedRtt()
-        #: When the last keep-alive was sent or received, and whether it awaits an answer.
+        #: The time when the last keep-alive was sent or received, and whether it awaits an answer.
         self._last, self._is_awaiting, self._token = now, dialled, 0
 
     def open(self, link: Link, own: Hello) -> None:
@@ -88,7 +90,7 @@ class StandbyConnection:
 
     def keep_alive(self, now: float) -> bool:
         """Send a keep-alive when due. Returns False if the peer has not answered in time."""
-        # The acknowledgement of a keep-alive is then part of its answer.
+        # With this option, the acknowledgement of a keep-alive is part of the answer.
         self.link.on_idle()
         silent = now - self._last
         if not self.dialled:
@@ -111,7 +113,7 @@ class StandbyConnection:
             self._round_trip.update(self._owner.now() - self._last)
 
     def state(self, now: float) -> PathState | None:
-        """A reading of its path; None without the kernel's counters."""
+        """A reading of the path of the connection; None without the kernel's counters."""
         delivery = self.link.delivery()
         if delivery is None:
             return None
@@ -119,7 +121,7 @@ class StandbyConnection:
             self._traffic.record(self.link.counts(), now)
         return PathState(delivery, self._round_trip.mean or 0.0, self._traffic.loss or 0.0)
 
-    # --- what the link reports ------------------------------------------------------------------------
+    # --- reports of the link --------------------------------------------------------------------------
 
     def on_message(self, link: Link, message: Message) -> None:
         """Process a keep-alive, or a Hello. Raises HandshakeError and WireError."""
@@ -135,7 +137,8 @@ class StandbyConnection:
             link.accept_role("host")
             self._owner.on_ready(self)
         elif isinstance(message, Hello) and message.role == "host":
-            # Before the answer it is the Hello that a peer sends to known addresses unasked.
+            # Before the answer, this message is the Hello that a peer sends to known addresses without a
+            # request.
             if self.is_ready:
                 self._owner.on_activated(self, message)
         else:

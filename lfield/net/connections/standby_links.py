@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 #: Seconds between two readings of the paths of a link with a standby.
 CHECK_EVERY = 0.1
-#: Seconds between two attempts at a standby: when one is needed at once, and in addition otherwise, where
-#: the pause doubles up to a maximum.
+#: Seconds between two attempts at a standby: when a standby is needed at once; and the additional pause
+#: otherwise, which doubles up to a maximum.
 SHORTEST_PAUSE, FIRST_DIAL, LAST_DIAL = 0.3, 0.7, 10.0
 
 
@@ -61,7 +61,7 @@ class _HostPaths:
         return self.next_link is not None and not self.next_link.closed.is_set()
 
     def drop(self) -> None:
-        """Close the standby connection, and dial none."""
+        """Close the standby connection, and stop dialling another one."""
         if self.task is not None:
             self.task.cancel()
         standby, self.standby = self.standby, None
@@ -148,16 +148,17 @@ class StandbyLinks:
 
     def paths(self, host: str) -> tuple[str, str]:
         """The networks of the link with a host and of its standby, by the address of the host in each; '' for
-        no standby. Both '' if there is one network."""
+        no standby. Both are '' if there is only one network.
+        """
         session, paths = self._owner.link_of(host), self._paths.get(host)
         if session is None or paths is None:
             return "", ""
         return _network(session.link), _network(paths.standby.link) if paths.standby is not None else ""
 
-    # --- what standby connections report --------------------------------------------------------------
+    # --- reports of standby connections ---------------------------------------------------------------
 
     def on_ready(self, connection: StandbyConnection) -> None:
-        """See `StandbyOwner.on_ready`: of two, the last one is kept."""
+        """See `StandbyOwner.on_ready`: of two connections, the last one is kept."""
         paths = self._paths.get(connection.host) or self._add(connection.host)
         old, paths.standby = paths.standby, connection
         if old is not None:
@@ -215,7 +216,7 @@ class StandbyLinks:
         loss = figures.loss if figures is not None else None
         round_trip, bound = monitor.round_trip(host) or 0.0, monitor.answer_timeout(host) or 0.0
         state = PathState(delivery, round_trip, loss or 0.0, bound, session.link.work)
-        # The accepting side does not see how fast answers to keep-alives are.
+        # The accepting side does not know the delay of answers to keep-alives.
         other = standby.state(now) if standby is not None and standby.dialled else None
         decision = paths.choice.decide(now, state, other)
         if decision and standby is not None:
@@ -249,9 +250,10 @@ class StandbyLinks:
     # --- dialling -------------------------------------------------------------------------------------
 
     def _other_addresses(self, host: str, session: Session) -> list[str]:
-        """The addresses at which this side dials a standby: other ones than that of the link.
+        """The addresses at which this side dials a standby: all except the address of the link.
 
-        The side that dialled the link does; the accepting side only if its own address leaves no choice.
+        The side that dialled the link dials the standby; the accepting side does so only if its own address
+        leaves no choice.
         """
         if session.dialled is None and len(split_addresses(self._addresses[self._here])) > 1:
             return []
@@ -285,7 +287,7 @@ class StandbyLinks:
         self.drop(host)
 
     async def _dial(self, host: str, address: str) -> StandbyConnection | None:
-        """A standby connection to an address; None if there is none."""
+        """A new standby connection to an address; None if it fails."""
         connection = StandbyConnection(self, host, self.now(), dialled=True)
         try:
             link = await self._transport.connect(address, connection, host)

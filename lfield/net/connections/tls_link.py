@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from lfield.net.transport import Link, LinkHandler
     from lfield.wire.framing import Buffer
 
-#: Maximum bytes of TLS decrypted at a time, for guests and members: they may cost time without completing a
-#: message.
+#: Maximum bytes of TLS decrypted at a time, for guests and members: their decryption may take time without
+#: completing a message.
 OBSERVER_PIECE, MEMBER_PIECE = 1 << 10, 1 << 14
 
 
@@ -42,7 +42,7 @@ class TlsLink(StreamLink):
         self._proven: asyncio.Future[None] = self._loop.create_future()
         #: The host that must answer; '' for any.
         self._required = ""
-        #: The source of its address for rationing, and seconds of CPU time used by its handshake.
+        #: The source of the peer's address for rationing, and seconds of CPU time used by its handshake.
         self._source = ""
         self._spent = 0.0
         #: Decrypted text that has to be queued, and the error that followed it.
@@ -104,7 +104,7 @@ class TlsLink(StreamLink):
         return True
 
     def _deliver_left_over(self, channel: TlsChannel) -> Iterator[None]:
-        """Process what `receive_frame` has decrypted and kept."""
+        """Process the text that `receive_frame` has decrypted and kept."""
         records, self._left_over = self._left_over, None
         error, self._tls_error = self._tls_error, None
         for plain in records or ():
@@ -115,8 +115,9 @@ class TlsLink(StreamLink):
             self._on_tls_error(channel, error)
 
     def advance_handshake(self) -> bool:
-        """See `HandshakingLink.advance_handshake`. Data behind the handshake is treated as that of an
-        authenticated peer."""
+        """See `HandshakingLink.advance_handshake`. Data after the handshake is treated as data of an
+        authenticated peer.
+        """
         coming, channel = self._remaining, self._channel
         if coming is None or channel is None or self.closed:
             return False
@@ -137,7 +138,9 @@ class TlsLink(StreamLink):
         return False
 
     def _decrypted(self, channel: TlsChannel, data: bytes) -> Iterator[None]:
-        """Decrypt in small steps: a record may hold a thousand messages, or cost time without any."""
+        """Decrypt in small steps: a record may hold a thousand messages, or take time without
+        containing any.
+        """
         view = memoryview(data)
         size = MEMBER_PIECE if self._is_direct else OBSERVER_PIECE
         try:
@@ -190,7 +193,8 @@ class TlsLink(StreamLink):
             self._channel.end()
             if self._calls:
                 self._tls.keep_session(self.peer, self._channel)
-        # Release now, not at garbage collection: links of strangers would accumulate until then.
+        # Release the TLS state now, not at garbage collection: links of strangers would accumulate until
+        # then.
         self._channel = None
         if not self._calls or (self._proven.done() and not self._proven.cancelled()):
             super().on_eof(error)

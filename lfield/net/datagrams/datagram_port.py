@@ -1,7 +1,7 @@
 """UDP sockets of a host, at the address and port of each listening socket.
 
 Reading is bounded: at most AT_ONCE datagrams per turn of the event loop, and a CPU-time limit per window. The
-rest waits in the kernel, which drops what does not fit.
+rest waits in the kernel, which drops datagrams that do not fit.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class DatagramPort:
         self._loop = asyncio.get_running_loop()
         self._since, self._spent = self._loop.time(), 0.0
         self._waiting: asyncio.TimerHandle | None = None
-        #: The senders dropped by the kernel filter, and until when.
+        #: The senders dropped by the kernel filter, each with the end of the drop.
         self._flooders: dict[Flooder, float] = {}
         attach(made, ())
         self._loop.add_reader(made.fileno(), self._read)
@@ -61,7 +61,7 @@ class DatagramPort:
         return list(self._flooders)
 
     def send(self, address: Address, data: bytes) -> None:
-        """Send, or drop what the kernel does not accept now: the desk repeats."""
+        """Send a datagram, or drop it if the kernel does not accept it now: the desk repeats its orders."""
         with suppress(OSError):
             self._socket.sendto(data, address)
 

@@ -1,9 +1,9 @@
 """Kernel packet filter (classic BPF, `SO_ATTACH_FILTER`, Linux): a dropped datagram costs the host no CPU
 time.
 
-It drops datagrams that cannot be orders by size and first bytes, and all from senders that exceed the limit,
-for a while. Without it a flood fills the socket buffer and displaces orders. Kernels without filters deliver
-everything; the rate limits still apply.
+The filter drops datagrams that cannot be orders by size and first bytes. For a while it also drops all
+datagrams of senders that exceed the limit. Without it a flood fills the socket buffer and displaces orders.
+Kernels without filters deliver all datagrams; the rate limits still apply.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def flooder_at(host: str, port: int) -> Flooder:
 
 def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
     """Attach a filter against non-orders and these senders. Returns whether the kernel accepted it."""
-    # Imported here: a command that opens no port starts sooner.
+    # Imported here, so that a command that opens no port starts sooner.
     import ctypes
 
     code = program(flooders)
@@ -64,7 +64,7 @@ def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
 
 
 def program(flooders: Iterable[Flooder]) -> bytes:
-    """The BPF program. Of an IPv6 address it compares the last 32 bits."""
+    """The BPF program. The program compares the last 32 bits of an IPv6 address."""
     known = list(flooders)[:MAX_FLOODERS]
     four = _senders([one for one in known if len(one.address) == 4], _NET + 12)
     six = _senders([one for one in known if len(one.address) == 16], _NET + 20)

@@ -1,16 +1,17 @@
-"""Adaptive link heartbeats: when one is due, the round-trip time, and the silence that ends a link. Sans-IO.
+"""Adaptive link heartbeats: the times when they are due, the round-trip time, and the silence that ends a
+link. Sans-IO.
 
-On a lossy path a message is late, not missing, since TCP repeats it. The time-out is four times the latest
-answer of the last minutes, within bounds. On a good path a dead link is thus detected as soon as with a fixed
-time-out, and silence that is usual on a bad path ends no link.
+On a lossy path a message is only late, since TCP repeats it. The time-out is four times the latest answer of
+the last minutes, within bounds. On a good path a dead link is thus detected as soon as with a fixed time-out,
+and silence that is usual on a bad path ends no link.
 
-A link that carries nothing but background reports is idle. Its heartbeats are rare, because many idle links
-would fill a slow radio, and its silence is detected within 10 s.
+A link that carries only background reports is idle. Its heartbeats are rare, because many idle links would
+fill a slow radio, and its silence is detected within 10 s.
 """
 
 from __future__ import annotations
 
-#: Seconds between two checks of a link. A link in use is silent for at most one and a half of these plus a
+#: Seconds between two checks of a link. A link in use is silent for at most 1.5 of these intervals plus a
 #: round trip, unless a packet is lost.
 PING_EVERY = 1.0
 #: Seconds of silence after which another connection is tried in parallel, and after which the link is closed:
@@ -19,8 +20,8 @@ SUSPECT_AFTER, LOST_AFTER, MAX_SILENCE = 2.0, 3.0, 8.0
 #: Seconds between two heartbeats of an idle link on a good path, and of silence after which it is closed. On
 #: a path whose answers may come late, heartbeats are more frequent.
 IDLE_PING_EVERY, IDLE_LOST_AFTER = 6.5, 9.0
-#: Time-outs allow this many consecutive answers as late as the latest, and those of idle links so many, since
-#: they have one heartbeat for each time-out.
+#: The number of consecutive answers, as late as the latest, that a time-out allows; and the number for idle
+#: links, which have one heartbeat for each time-out.
 LATE_FACTOR, IDLE_LATE_FACTOR = 4.0, 2.0
 #: Maximum number of unanswered heartbeats that are remembered.
 MAX_PENDING = 16
@@ -55,7 +56,7 @@ class SmoothedRtt:
 class RoundTrip(SmoothedRtt):
     """The round-trip time of a link.
 
-    TCP retransmission makes some samples many times the mean on a bad path, so the longest of the last
+    TCP retransmission makes some samples many times the mean on a bad path, so the longest sample of the last
     minutes is recorded as well.
     """
 
@@ -66,7 +67,7 @@ class RoundTrip(SmoothedRtt):
         self._longest, self._at = 0.0, 0.0
 
     def add(self, sample: float, now: float) -> None:
-        """Add a sample, in seconds. Negative ones are ignored: the clock was set back."""
+        """Add a sample, in seconds. Negative samples are ignored: the clock was set back."""
         if sample < 0.0:
             return
         self.last = sample
@@ -90,9 +91,9 @@ class RoundTrip(SmoothedRtt):
 class Heartbeats:
     """The heartbeats of one end for one host, over all links with it. Times are monotonic seconds.
 
-    The ends alternate, so that both measure at the cost of one; `first` says which end starts. Heartbeats of
-    an idle link are at most `idle_interval` seconds apart, and that end sends all of them: TCP then delays
-    the acknowledgement at the other end and sends it with the answer.
+    The ends alternate, so that both ends measure with the heartbeats of one; `first` says whether this end
+    starts. Heartbeats of an idle link are at most `idle_interval` seconds apart, and the `first` end sends
+    all of them: TCP then delays the acknowledgement at the other end and sends it with the answer.
     """
 
     def __init__(self, *, first: bool, idle_interval: float = IDLE_PING_EVERY) -> None:
@@ -103,7 +104,7 @@ class Heartbeats:
         self._open: dict[int, float] = {}
 
     def on_link_made(self, now: float) -> None:
-        """A new link: heartbeats sent on an earlier one get no answer."""
+        """A link was made: heartbeats sent on an earlier link get no answer."""
         self._turn, self._sent_at = self._first, now
         self._open.clear()
 
@@ -115,8 +116,9 @@ class Heartbeats:
         return min(self._idle_interval, max(PING_EVERY, IDLE_LOST_AFTER - PING_EVERY - late))
 
     def is_due(self, now: float, silent: float, *, is_idle: bool = False) -> bool:
-        """Whether to send one: without traffic half a second before the end of an interval on this end's
-        turn, else half a second after it; with other traffic after five intervals."""
+        """Whether to send a heartbeat: without traffic, half a second before the end of an interval if it is
+        the turn of this end, otherwise half a second after; with other traffic, after five intervals.
+        """
         every = self.interval(now, is_idle=is_idle)
         turn = self._first if is_idle else self._turn
         waits = every + (-0.5 if turn else 0.5) * PING_EVERY
@@ -136,7 +138,7 @@ class Heartbeats:
         self._turn = True
 
     def on_pong(self, token: int, now: float) -> None:
-        """An answer has arrived. Unknown and repeated ones are ignored."""
+        """An answer has arrived. Unknown and repeated answers are ignored."""
         sent = self._open.pop(token, None)
         if sent is not None:
             self.round_trip.add(now - sent, now)

@@ -58,7 +58,7 @@ class LinkFigures(NamedTuple):
 
 
 class LinkActivity:
-    """When a link last carried work, and when it last began to after an idle period. Times are in seconds."""
+    """The times when a link last carried work, and last began to after an idle period, in seconds."""
 
     def __init__(self, now: float) -> None:
         self._work, self._worked_at, self._busy_since = -1, now, now
@@ -76,7 +76,7 @@ class LinkActivity:
         self._work, self._worked_at = work, now
 
     def expected_silence(self, silent: float, now: float) -> float:
-        """The silence since heartbeats have been frequent."""
+        """The silence since heartbeats have become frequent."""
         return silent if self.is_idle(now) else min(silent, now - self._busy_since)
 
 
@@ -84,7 +84,7 @@ class LinkMonitor:
     """The links of host number `here`; `hosts` are all hosts with their numbers, and `now` is a monotonic
     clock, in seconds.
 
-    Heartbeats of hosts carry the timestamps of `hybrid_clock`; those of idle links are `idle_interval`
+    Heartbeats of hosts carry the timestamps of `hybrid_clock`; heartbeats of idle links are `idle_interval`
     seconds apart.
     """
 
@@ -123,7 +123,7 @@ class LinkMonitor:
         self.latest.pop(host, None)
 
     def check(self, host: str, silent: float) -> Silence:
-        """Check a link that has been `silent` for that many seconds, and send a heartbeat if due."""
+        """Check a link that has been silent for `silent` seconds, and send a heartbeat if due."""
         beats, now = self._heartbeats[host], self._now()
         link, traffic, activity = self._links[host]
         if traffic.is_due(now):

@@ -1,7 +1,8 @@
 """Choice between the path of a link and that of its standby connection. Sans-IO.
 
-The other path is used when this one is dead: data has awaited an acknowledgement for longer than the path
-explains. It is also used when it is much better for a while, and then only while nothing is under way.
+The other path is used when this one is dead: data has awaited an acknowledgement for longer than the path can
+cause. The other path is also used when it has been much better for a while, but only while no transfer or
+message is under way.
 """
 
 from __future__ import annotations
@@ -12,28 +13,30 @@ from typing import Literal, NamedTuple
 from lfield.net.health.traffic import Delivery
 
 #: Minimum seconds without an acknowledgement after which a path is dead, and the factor over the limit of its
-#: round trip: one lost packet is repeated within that.
+#: round trip: one lost packet is repeated within this time.
 STALLED_AFTER, STALLED_ROUND_TRIPS = 0.3, 2.0
 #: Number of variations added to the smoothed round trip (RFC 6298).
 DEVIATIONS = 4.0
-#: The other path is preferred if its delay is lower by this factor, and by so many seconds at least, for a
-#: while in seconds.
+#: The other path is preferred if its delay is lower by this factor, by at least this number of seconds, for
+#: this number of seconds.
 BETTER_FACTOR, MIN_GAIN, BETTER_FOR = 2.0, 0.02, 30.0
-#: Seconds without work after which nothing is under way.
+#: Seconds without work after which no transfer or message is under way.
 QUIET_FOR = 0.3
-#: Seconds that a lost packet costs besides a round trip: the margin of the retransmission time-out.
+#: The delay in seconds by a lost packet in addition to a round trip: the margin of the retransmission
+#: time-out.
 REPEAT_TIME = 0.2
 #: A path that works again this soon after it was left was slow, not dead. The limit is then doubled, up to a
 #: factor, until no path was left for a while.
 RETURNED_WITHIN, MAX_CAUTION, CAUTION_PERIOD = 2.0, 4.0, 60.0
 
-#: What to do: nothing, or use the other path because this one is dead, or because the other one is better.
+#: The decision: no change, or use of the other path because this one is dead, or because the other one is
+#: better.
 Decision = Literal["", "dead", "better"]
 
 
 class PathState(NamedTuple):
-    """A reading of one path: `round_trip` is the smoothed one of heartbeats in seconds, 0 if unknown, `bound`
-    its limit, `loss` a share from 0 to 1. `work` counts what was sent and received.
+    """A reading of one path: `round_trip` is the smoothed round trip of heartbeats in seconds, 0 if unknown,
+    `bound` its limit, `loss` a share from 0 to 1. `work` counts transfers and messages, sent and received.
 
     The round trip of the kernel contains the delays of acknowledgements, so it is only a limit.
     """
@@ -63,7 +66,7 @@ class PathChoice:
     def __init__(self) -> None:
         self._acked, self._pending_since = -1, math.inf
         self._work, self._worked_at = -1, 0.0
-        #: Since when the standby is better, and when a dead path was left.
+        #: The time since when the standby is better, and the time when a dead path was left.
         self._better_since, self._left_at = math.inf, -math.inf
         self._caution = 1.0
 
@@ -79,7 +82,7 @@ class PathChoice:
         self._left_at = now
 
     def on_standby(self, now: float) -> None:
-        """There is a standby connection: the other path works."""
+        """A standby connection exists, so the other path works."""
         self._better_since = math.inf
         if now - self._left_at <= RETURNED_WITHIN:
             self._caution = min(MAX_CAUTION, 2.0 * self._caution)

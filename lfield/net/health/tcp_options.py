@@ -16,8 +16,8 @@ from lfield.net.health.traffic import Delivery, TcpCounts
 #: The first six time-outs of a connection with few packets in flight do not double (since Linux 2.6.34).
 THIN_LINEAR_TIMEOUTS = 16
 #: Maximum retransmission time-out in ms, since Linux 6.15; the kernel's minimum is 1,000. After an outage a
-#: connection continues within this time. (The kernel then ends one after 11 s without an acknowledgement; a
-#: silent link is closed before that.)
+#: connection continues within this time. (The kernel then ends a connection after 11 s without an
+#: acknowledgement; a silent link is closed before that.)
 RTO_MAX_MS, LONGEST_TIMEOUT_MS = 44, 1_000
 #: Minimum retransmission time-out beyond the round trip, and maximum delay of an acknowledgement, in
 #: microseconds, since Linux 6.15.
@@ -27,8 +27,8 @@ NOTSENT_LOWAT, MAX_NOT_SENT = 25, 4096
 LONGEST_ACK_DELAY_US = 5_000
 
 #: Margin of the retransmission time-out over the round trip, in seconds: half a round trip, within these
-#: bounds. A short margin repeats a lost packet early; one too short for the path repeats packets that are
-#: only late, which wastes a slow channel.
+#: bounds. A short margin repeats a lost packet early; a margin that is too short for the path repeats packets
+#: that are only late, which wastes a slow channel.
 MARGIN, MIN_MARGIN, MAX_MARGIN = 0.5, 0.02, 0.2
 #: From this round trip in s on, time-outs double, and the maximum is this many round trips. A longer round
 #: trip is mostly queueing: if all connections of a slow channel repeated queued data each second, the channel
@@ -38,7 +38,7 @@ CONGESTED, LONGEST_TIMEOUT = 0.5, 4.0
 #: `struct tcp_info` up to `tcpi_dsack_dups`, and the offsets of its fields.
 _INFO_SIZE = 220
 _TOTAL_RETRANS, _BYTES_RECEIVED, _DATA_SEGS_OUT, _BYTES_SENT, _DSACK_DUPS = 100, 128, 156, 200, 216
-#: The same up to `tcpi_snd_wnd` (since Linux 5.4).
+#: `struct tcp_info` up to `tcpi_snd_wnd` (since Linux 5.4).
 _DELIVERY_SIZE = 232
 _UNACKED, _RTT, _BYTES_ACKED, _NOTSENT_BYTES, _SND_WND = 24, 68, 120, 144, 228
 
@@ -67,7 +67,7 @@ def set_options(made: TcpSocket) -> None:
 
 
 def set_listening_options(made: TcpSocket) -> None:
-    """Answer a caller twice only, at once and after a second: it calls again.
+    """Answer a caller only twice, at once and after a second: the caller dials again.
 
     The kernel's five repetitions would fill a path that has become so slow that callers have given up.
     """
@@ -102,7 +102,7 @@ def delay_acknowledgements(made: TcpSocket) -> None:
 
 
 def read_counts(made: TcpSocket) -> TcpCounts | None:
-    """The kernel's counters; None if incomplete (before Linux 4.19)."""
+    """The kernel's counters; None if they are incomplete (before Linux 4.19)."""
     try:
         info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
     except OSError:
@@ -117,10 +117,10 @@ def read_counts(made: TcpSocket) -> TcpCounts | None:
 
 
 def read_delivery(made: TcpSocket) -> Delivery | None:
-    """What the kernel has delivered; None if incomplete (before Linux 5.4).
+    """The data that the kernel has delivered; None if the counters are incomplete (before Linux 5.4).
 
     Data is pending while it is in flight, or unsent although the peer has a window for it: without a route
-    the kernel sends nothing.
+    the kernel sends no data.
     """
     try:
         info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _DELIVERY_SIZE)

@@ -26,7 +26,7 @@ class TcpCounts(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """What a connection has delivered, as its kernel or its numbered stream knows.
+    """The data that a connection has delivered, as counted by the kernel or the numbered stream.
 
     `acked`: bytes or packets that the peer has acknowledged. `is_pending`: whether data that the peer may
     receive awaits an acknowledgement. `round_trip` and `variation`: the smoothed round trip and its
@@ -67,8 +67,8 @@ class LinkTraffic:
 
     @property
     def loss(self) -> float | None:
-        """The share of data segments lost in transit in the last minute, from 0 to 1; None before enough were
-        sent.
+        """The share of data segments lost in transit in the last minute, from 0 to 1; None before enough
+        segments were sent.
 
         Spurious retransmissions are excluded where the peer reports them (RFC 2883).
         """

@@ -1,18 +1,18 @@
 """Leaky-bucket CPU budgets of members (hosts of the team), with probes that detect flooding. Sans-IO.
 
-The account of a member is the CPU time of its messages, less RATION of the elapsed time. Above ALLOWANCE the
+The account of a member is the CPU time of its messages minus RATION of the elapsed time. Above ALLOWANCE the
 member is over its budget. Then:
 
 - Messages of members within their budgets come first (`BudgetState.OVER`).
 - PROBE_EVERY after the last probe, a new one starts: coordinators and answers for the member are withheld
   until its messages have used almost no time for PROBE. A host that waits for answers, as every hop does,
-  soon has nothing more to send: each coordinator has at most one transfer in flight. A host that sends
-  without waiting accumulates a crowd, counted by `FramedLink.weight`. A second transfer of a coordinator
-  whose first has no answer is a crowd and a proof.
+  soon has no more messages to send: each coordinator has at most one transfer in flight. A host that sends
+  without waiting accumulates a crowd of messages, counted by `FramedLink.weight`. A second transfer of a
+  coordinator whose first has no answer is a crowd and a proof.
 - A member with a crowd is limited to its ration (`BudgetState.HELD`). After OVER_FOR its link is closed
-  (`BudgetState.FLOOD`), unless the probe ends earlier and nothing is proven.
+  (`BudgetState.FLOOD`), unless the probe ends earlier without a proof.
 
-So a hop, however slow the computer, is never the reason for a closed link. Times are in seconds.
+So a hop is never the reason for a closed link, also on a slow computer. Times are in seconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from enum import Enum, auto
 
 #: Long-term share of one processor for the messages of a member.
 CPU_SHARE = 0.1
-#: Burst of CPU time of a member in seconds, and the maximum debt counted beyond it.
+#: Burst of CPU time of a member in seconds, and the maximum debt counted beyond this burst.
 BURST, MAX_DEBT = 0.5, 0.05
 #: Burst of a member that is limited to its ration, in seconds.
 HELD_BURST = 0.002
@@ -33,7 +33,7 @@ MAX_EXCESS_TIME = 5.0
 #: no more than QUIET for this many seconds.
 PROBE_EVERY, PROBE = 1.0, 0.1
 PROBE_LIMIT = CPU_SHARE * PROBE
-#: Longest pause of reading: the peer must not take the link for a dead one.
+#: Longest pause of reading: the link must not seem dead to the peer.
 LONGEST_HOLD = 0.5
 #: Messages during a probe that make a crowd; a long message counts as several (`FramedLink.weight`).
 CROWD_WEIGHT = 128
@@ -42,15 +42,15 @@ PROOF_WEIGHT = 1 << 20
 
 
 class BudgetState(Enum):
-    """How the next message of a member is treated."""
+    """The treatment of the next message of a member."""
 
-    #: Processed at once.
+    #: The message is processed at once.
     WITHIN = auto()
-    #: Processed when no message of a member within its budget waits.
+    #: The message is processed when no message of a member within its budget waits.
     OVER = auto()
-    #: Not before `CpuBudgets.held_until`.
+    #: The message is not processed before `CpuBudgets.held_until`.
     HELD = auto()
-    #: Never: the link is to be closed.
+    #: The message is not processed: the link is to be closed.
     FLOOD = auto()
 
 
@@ -60,18 +60,19 @@ class _Account:
     #: CPU time not yet repaid.
     level: float = 0.0
     held_until: float = -math.inf
-    #: When the next probe may start; when the present one ends without further messages; and the CPU time
-    #: used since that was set, in seconds.
+    #: The time when the next probe may start; the time when the present one ends without further messages;
+    #: the CPU time used since that was set, in seconds.
     probe_due: float = -math.inf
     probe_ends: float | None = None
     probed: float = 0.0
-    #: Whether a crowd was counted, and since when the member is over budget with one.
+    #: Whether a crowd was counted, whether it is a proof, and the time since when the member is over budget
+    #: with a crowd.
     is_crowded: bool = False
     is_proven: bool = False
     flooding_since: float = math.inf
-    #: Since when it makes new links while over budget.
+    #: The time since when the member makes new links while over budget.
     connecting_since: float = math.inf
-    #: Since when it is over its budget, and whether that was logged.
+    #: The time since when the member is over its budget, and whether this was logged.
     over_since: float = math.inf
     is_reported: bool = False
 
@@ -83,7 +84,9 @@ class CpuBudgets:
         self._accounts: dict[str, _Account] = {}
 
     def on_work(self, member: str, seconds: float, now: float, weight: int = 0) -> BudgetState:
-        """Charge a member with `seconds`; `weight` is what has arrived during the probe."""
+        """Charge a member with `seconds`; `weight` is the weight of the messages that arrived during the
+        probe.
+        """
         account = self._account(member, now)
         account.level = min(account.level + max(0.0, seconds), BURST + MAX_DEBT)
         if account.probe_ends is not None:
@@ -101,7 +104,7 @@ class CpuBudgets:
         debt = (account.level - BURST + HELD_BURST) / CPU_SHARE
         account.held_until = now + min(debt, LONGEST_HOLD)
         if account.probe_ends is not None:
-            # Only while it is read can it show that it sends nothing.
+            # A member can show that it sends no messages only while its link is read.
             account.probe_ends, account.probed = account.held_until + PROBE, 0.0
         return BudgetState.HELD
 
@@ -116,30 +119,32 @@ class CpuBudgets:
         return BudgetState.FLOOD if now - account.connecting_since >= MAX_EXCESS_TIME else BudgetState.OVER
 
     def probe_ends(self, member: str) -> float | None:
-        """When the probe of a member ends without further messages, in seconds; None without a probe."""
+        """The end of a member's probe without further messages, in seconds; None without a probe."""
         account = self._accounts.get(member)
         return None if account is None else account.probe_ends
 
     def on_probe_end(self, member: str, now: float) -> None:
-        """The time of `probe_ends` has passed: the member has shown that it waits for answers."""
+        """The time of `probe_ends` has passed: the member waits for answers."""
         account = self._account(member, now)
         account.probe_ends, account.probe_due = None, now + PROBE_EVERY
         if not account.is_proven:
             account.is_crowded, account.flooding_since = False, math.inf
 
     def on_closed(self, member: str, now: float) -> None:
-        """Its link was closed for flooding: the next one starts with the same debt and a new OVER_FOR."""
+        """The link of a member was closed for flooding: the next link starts with the same debt and a new
+        OVER_FOR.
+        """
         account = self._account(member, now)
         account.flooding_since = account.connecting_since = math.inf
         account.probe_ends, account.probe_due = None, -math.inf
 
     def held_until(self, member: str) -> float:
-        """When reading of a member resumes, in seconds of the same clock."""
+        """The time when reading of a member resumes, in seconds of the same clock."""
         account = self._accounts.get(member)
         return -math.inf if account is None else account.held_until
 
     def may_report(self, member: str, now: float) -> bool:
-        """Whether to log that a member is over its budget: once, with a crowd or after OVER_FOR."""
+        """Whether to log that a member is over its budget: once, when it has a crowd or after OVER_FOR."""
         account = self._account(member, now)
         is_new = account.is_crowded or now - account.over_since >= MAX_EXCESS_TIME
         is_new, account.is_reported = is_new and not account.is_reported, account.is_reported or is_new

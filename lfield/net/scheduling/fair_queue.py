@@ -12,20 +12,20 @@ G = TypeVar("G")
 class QueueRank(IntEnum):
     """Priority of an identity."""
 
-    #: In round-robin order.
+    #: The identity is served in round-robin order.
     FIRST = 0
-    #: When no identity of the first rank waits.
+    #: The identity is served only while no identity of the first rank waits.
     BEHIND = 1
-    #: Not before its rank changes.
+    #: The identity is served only after a change of its rank.
     HELD = 2
 
 
 class FairQueue(Generic[G]):
     """Round robin over identities, and over the connections of each.
 
-    An identity with sixty connections gets the same share as one with a single connection. A round has at
-    most `round_limit` turns, and ends once they have taken `longest` seconds. `next` returns None when no
-    eligible connection waits, or the round is over.
+    An identity with sixty connections gets the same share as an identity with one. A round has at most
+    `round_limit` turns, and ends when they have used `longest` seconds. `next` returns None when no eligible
+    connection waits, or the round is over.
     """
 
     def __init__(self, round_limit: int, longest: float) -> None:
@@ -41,7 +41,7 @@ class FairQueue(Generic[G]):
         self.ranks: dict[str, QueueRank] = {}
 
     def add(self, connection: G, identity: str) -> None:
-        """Add a connection with pending input at the end; it must not be waiting."""
+        """Add a connection with pending input at the end; the connection must not be waiting."""
         self._persons[connection] = identity
         self._queue_of(identity).setdefault(identity, OrderedDict())[connection] = None
 

@@ -27,10 +27,10 @@ MAX_REMEMBERED = 4096
 class AddressTrust(IntEnum):
     """Trust in a source address."""
 
-    #: A caller from there has authenticated.
+    #: A caller from the address has authenticated.
     PROVEN = 0
     NEW = 1
-    #: A connection from there ended before authentication.
+    #: A connection from the address ended before authentication.
     FAILED = 2
 
 
@@ -42,18 +42,18 @@ class CallerAddresses:
         self._failed: dict[str, None] = {}
 
     def trust(self, source: str) -> AddressTrust:
-        """Trust in an address; one with an authenticated caller remains trusted."""
+        """Trust in an address; an address with an authenticated caller remains trusted."""
         if source in self._proven:
             return AddressTrust.PROVEN
         return AddressTrust.FAILED if source in self._failed else AddressTrust.NEW
 
     def on_proven(self, source: str) -> None:
-        """A caller from there has authenticated, or was dialled there."""
+        """A caller from the address has authenticated, or this host has dialled a peer there."""
         _remember(self._proven, source)
         self._failed.pop(source, None)
 
     def on_failed(self, source: str) -> None:
-        """A connection from there ended before authentication."""
+        """A connection from the address ended before authentication."""
         _remember(self._failed, source)
 
 
@@ -70,7 +70,7 @@ class HandshakeScheduler(Generic[G]):
         self._level, self._at = 0.0, 0.0
 
     def add(self, link: G, source: str, *, is_answered: bool) -> None:
-        """Add a handshake step of a link that did not wait; `is_answered` if it is not the first."""
+        """Add a handshake step of a link that did not wait; `is_answered` if it is not the first step."""
         queue = self._by_trust[self.sources.trust(source)]
         queue.add(link, f"{source} {is_answered}")
         self._waiting[link] = queue
@@ -81,7 +81,7 @@ class HandshakeScheduler(Generic[G]):
             queue.remove(link)
 
     def next(self, now: float) -> G | None:
-        """The link whose step is next; None if the budget is used up or none waits."""
+        """The link whose step is next; None if the budget is used up or no link waits."""
         if self.due(now) > now:
             return None
         for queue in list(self._queues):
@@ -97,7 +97,7 @@ class HandshakeScheduler(Generic[G]):
         self._level += max(0.0, seconds)
 
     def due(self, now: float) -> float:
-        """When the next step may start; infinite if none waits."""
+        """The time when the next step may start; infinite if none waits."""
         self._refill(now)
         if not self._waiting:
             return math.inf
@@ -111,10 +111,10 @@ class HandshakeScheduler(Generic[G]):
 def source_of(address: str) -> str:
     """The source of an address for rationing: without port, and the /64 of IPv6.
 
-    Link-local addresses share one network, so each counts for itself.
+    Link-local addresses share one network, so each of them counts separately.
     """
     if is_zenoh(address):
-        # A caller chooses its inbox in a fabric, so all of a fabric count as one.
+        # A caller chooses its inbox in a fabric, so all callers of a fabric count as one source.
         return ZENOH
     host = address.rpartition(":")[0].strip("[]") or address
     try:

@@ -1,8 +1,8 @@
 """Link schedulers: bound the event-loop time for received messages, so that no peer delays guards.
 
-Messages of guests (all that are no hosts of the team) are processed in small rounds with pauses. Messages of
-members (hosts of the team) are processed at once within their CPU budgets (see `cpu_budgets`), for at most
-SLICE per turn of the event loop, so that guard timers and operator messages run in between.
+Messages of guests (all peers that are no hosts of the team) are processed in small rounds with pauses.
+Messages of members (hosts of the team) are processed at once within their CPU budgets (see `cpu_budgets`),
+for at most SLICE per turn of the event loop, so that guard timers and operator messages run in between.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ AT_ONCE, LONGEST, ROUND = 16, 0.002, 0.02
 #: started.
 SLICE, PAUSE = 0.005, 0.001
 #: CPU seconds of a member that are charged together while its messages are processed at once: one charge for
-#: some ten messages instead of one for each. Small beside the BURST of a budget.
+#: some ten messages instead of one for each. The value is small in comparison with the BURST of a budget.
 CHARGE_UNIT = 0.002
-#: More turns than fit into a slice.
+#: A number of turns that does not fit into a slice.
 _MANY = 1 << 30
 
 
@@ -35,7 +35,7 @@ class PendingInput(Protocol):
     """A link with unprocessed input."""
 
     def process_next(self) -> bool:
-        """Process one message or a part of it. Returns whether more is pending."""
+        """Process one message or a part of it. Returns whether more input is pending."""
 
 
 class HandshakingLink(Protocol):
@@ -50,13 +50,13 @@ class MemberLink(PendingInput, Protocol):
 
     @property
     def weight(self) -> int:
-        """How much has arrived since answers are withheld: see `FramedLink.weight`."""
+        """The amount of data that has arrived since answers are withheld: see `FramedLink.weight`."""
 
     def receive_frame(self, data: bytes) -> bool:
-        """Process these bytes if they are exactly one frame; otherwise do nothing."""
+        """Process these bytes if they are exactly one frame; otherwise without effect."""
 
     def withhold(self, *, on: bool) -> None:
-        """Withhold coordinators and answers from now on, or send those withheld."""
+        """Withhold coordinators and answers from now on, or send the withheld ones."""
 
     def pause_reading(self, *, on: bool) -> None:
         """Pause reading, or resume it once no input is pending."""
@@ -68,8 +68,8 @@ class MemberLink(PendingInput, Protocol):
 class LinkScheduler:
     """Processes input of guests while the round has room; the rest in the next round.
 
-    All calls happen on the thread of a running loop. `busy` is its CPU time; the part `exempt` is not caused
-    by the sender.
+    All calls happen on the thread of a running loop. `busy` is its CPU time; the sender does not cause its
+    part `exempt`.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class LinkScheduler:
         self.handshakes = HandshakeRunner(busy)
 
     def add(self, link: PendingInput, identity: str) -> None:
-        """Input of a guest of this identity is pending that did not wait."""
+        """Add a guest of this identity that did not wait and now has pending input."""
         self._queue.add(link, identity)
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(ROUND, self._next_round)
@@ -131,7 +131,7 @@ class HandshakeRunner:
         self._scheduler.sources.on_proven(source)
 
     def on_failed(self, source: str) -> None:
-        """A connection from there ended before authentication."""
+        """A connection from the address ended before authentication."""
         self._scheduler.sources.on_failed(source)
 
     def _process(self) -> None:
@@ -148,7 +148,9 @@ class HandshakeRunner:
 
 
 class MemberScheduler:
-    """Processes messages of members within their budgets, in slices of the event loop. Clocks as above."""
+    """Processes messages of members within their budgets, in slices of the event loop. The clocks are those
+    of `LinkScheduler`.
+    """
 
     def __init__(self, busy: Callable[[], float], exempt: Callable[[], float]) -> None:
         self._busy, self._exempt = busy, exempt
@@ -157,11 +159,11 @@ class MemberScheduler:
         #: The open links of each member.
         self._links: dict[str, set[MemberLink]] = {}
         self._waiting: dict[MemberLink, str] = {}
-        #: When a message was last processed, and the next planned slice.
+        #: The time when a message was last processed, and the next planned slice.
         self._processed_at = -math.inf
         #: Seconds used by messages that were processed at once in this turn of the event loop.
         self._spent_at_once = 0.0
-        #: Seconds of each member that its budget has not been charged with yet.
+        #: Seconds of each member that are not yet charged to its budget.
         self._uncharged: dict[str, float] = {}
         self._next_slice: asyncio.Handle | None = None
         #: The probed members, with the timers for the ends of their probes.
@@ -171,7 +173,7 @@ class MemberScheduler:
         self._release_timer: asyncio.TimerHandle | None = None
 
     def join(self, link: MemberLink, member: str) -> None:
-        """A link was authenticated as one of a member."""
+        """A link was authenticated as a link of a member."""
         self._links.setdefault(member, set()).add(link)
         if member in self._probes:
             link.withhold(on=True)
@@ -184,9 +186,9 @@ class MemberScheduler:
         self._apply_budget(link, member, self._budgets.on_handshake(member, seconds, now), now)
 
     def process_at_once(self, link: MemberLink, member: str, data: bytes) -> bool:
-        """Process a message now, if these bytes are exactly one and no other link precedes.
+        """Process a message now, if these bytes are exactly one message and no other link precedes.
 
-        Returns False without effect when they have to be queued.
+        Returns False without effect when the bytes have to be queued.
         """
         loop, queue = asyncio.get_running_loop(), self._queue
         if self._waiting or self._probes or self._paused or self._next_slice is not None or queue.ranks:
@@ -220,7 +222,7 @@ class MemberScheduler:
         self._spent_at_once = 0.0
 
     def add(self, link: MemberLink, member: str) -> None:
-        """Input of a link is pending that did not wait."""
+        """Add a link that did not wait and now has pending input."""
         if self._next_slice is None and asyncio.get_running_loop().time() - self._processed_at >= PAUSE:
             self._queue.start_round()
             self._spent_at_once = 0.0
@@ -259,7 +261,7 @@ class MemberScheduler:
     def _on_processed(self, link: MemberLink, seconds: float, now: float, *, more: bool) -> None:
         member = self._waiting.get(link)
         if member is None:
-            # Closed meanwhile.
+            # The link was closed in the meantime.
             return
         weight = link.weight if member in self._probes else 0
         seconds += self._uncharged.pop(member, 0.0)

@@ -1,10 +1,10 @@
 """Send queue of a connection: priorities and shares by kind of traffic, adaptive fragmentation. Sans-IO.
 
-Frames of one kind keep their order. Stops precede everything. Of the other kinds that wait, each gets its
-share of what the connection accepts (start-time fair queueing), and the first of them starts.
+Frames of one kind keep their order. Stops precede all other frames. Each of the other waiting kinds gets its
+share of the data that the connection accepts (start-time fair queueing).
 
 Kernel and transport hold little unsent data (`TCP_NOTSENT_LOWAT`, `HIGH_WATER`), so that a stop order waits
-behind at most that and one fragment. Long frames are sent in fragments, short ones on a slow radio (low
+behind at most this data and one fragment. Long frames are sent in fragments, short ones on a slow radio (low
 delay), long ones on a fast network (low overhead). Whole frames of other kinds may be sent between two
 fragments. The owner of the connection passes the time.
 """
@@ -43,17 +43,17 @@ class SendQueue:
     def __init__(self, code: Coding = lambda data, kind: data) -> None:
         self._code = code
         self._waiting: dict[TrafficKind, deque[Buffer]] = {}
-        #: The virtual time, and when the next frame of each kind starts.
+        #: The virtual time, and the time when the next frame of each kind starts.
         self._time, self._starts = 0.0, dict.fromkeys(SHARES, 0.0)
         #: The unsent rest of a frame in fragments, with its kind and whether it is compressed.
         self._rest, self._rest_kind, self._is_rest_compressed = memoryview(b""), TrafficKind.HOP, False
         #: The length of the next fragment.
         self.part = INITIAL_PART
-        #: Waiting bytes.
+        #: The number of waiting bytes.
         self.size = 0
-        #: Since when the connection accepts no data, in seconds; None while it does.
+        #: The time since when the connection accepts no data, in seconds; None while it accepts data.
         self._full_since: float | None = None
-        #: Whether a frame can be sent at once: none waits, and the connection accepts data.
+        #: Whether a frame can be sent at once: no frame waits, and the connection accepts data.
         self.is_idle = True
 
     @property
@@ -80,7 +80,7 @@ class SendQueue:
 
     def add(self, data: Buffer, kind: TrafficKind) -> None:
         """Queue a whole frame."""
-        # Copied, since its buffer may change before it is sent.
+        # The data is copied, since its buffer may change before it is sent.
         kept = data if isinstance(data, bytes) else bytes(data)
         if kind not in self._waiting:
             self._waiting[kind] = deque()

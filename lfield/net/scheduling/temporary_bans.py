@@ -12,7 +12,7 @@ class TemporaryBans:
     """Banned hosts by name. The duration doubles with each repetition."""
 
     def __init__(self) -> None:
-        #: When each ban ends, and its duration.
+        #: The time when each ban ends, and its duration.
         self._until: dict[str, tuple[float, float]] = {}
 
     def ban(self, host: str, now: float) -> float:

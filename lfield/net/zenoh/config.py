@@ -18,9 +18,9 @@ SECTION_VARIABLE = "LFIELD_ZENOH_SECTION"
 class ZenohConfig:
     """The section `zenoh` of an inventory.
 
-    `connect` are endpoints of routers or peers in Zenoh's syntax (tcp/10.0.0.1:7447), `listen` those at which
-    this process accepts peers. With `listen`, `multicast` or `gossip` it is a peer, otherwise a client of a
-    router. `settings` are further settings of Zenoh by path, with JSON values.
+    `connect` are endpoints of routers or peers in Zenoh's syntax (tcp/10.0.0.1:7447), `listen` the endpoints
+    at which this process accepts peers. With `listen`, `multicast` or `gossip` it is a peer, otherwise a
+    client of a router. `settings` are further settings of Zenoh by path, with JSON values.
     """
 
     connect: tuple[str, ...] = ()
@@ -42,10 +42,10 @@ class ZenohConfig:
             "listen/endpoints": self.listen,
             "scouting/multicast/enabled": self.multicast,
             "scouting/gossip/enabled": self.gossip,
-            # An outage of a router ends sooner than the silence that ends a link.
+            # An outage of a router must end sooner than the silence that ends a link.
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
-            # The thread may wait this long (microseconds) for room in the queue of the session. Then the
-            # packet is dropped, and its stream repeats it.
+            # The time in microseconds for which the thread waits for space in the queue of the session. After
+            # it the packet is dropped, and its stream repeats it.
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 50_000,
         }
         return {key: json.dumps(value) for key, value in own.items()} | dict(self.settings)
@@ -61,7 +61,7 @@ def decode_config(text: str) -> ZenohConfig:
 
 
 class ZenohNetwork:
-    """The configuration of this process. It is set where a command reads its inventory."""
+    """The configuration of this process. The command that reads the inventory sets it."""
 
     def __init__(self) -> None:
         self.config: ZenohConfig | None = None
@@ -72,12 +72,13 @@ class ZenohNetwork:
         self.config, self._by_host = config, dict(by_host)
 
     def select(self, host: str, encoded: str = "") -> None:
-        """This process is a host: use its own section, if it has one, or the one that its service passes on.
+        """Use the section of the host of this process, if it has one, otherwise the section that its service
+        passes on.
 
         Raises ValueError.
         """
         self.config = decode_config(encoded) if encoded else self._by_host.get(host, self.config)
 
 
-#: A process has one, as it has one routing table.
+#: The network of this process, which has only one, as it has one routing table.
 NETWORK = ZenohNetwork()

@@ -10,8 +10,8 @@ A process has one subscription for its inbox and one for each listener, so that 
 a subscriber, which would be asynchronous. Tokens at `lfield/v1/at/NAME/PORT` and `lfield/v1/to/RECEIVER` end
 with the process.
 
-Any participant of the fabric may publish with these keys, so what it can make a process do is limited:
-packets that wait for the event loop, streams that it opens, answers to packets of unknown streams.
+Any participant of the fabric may publish with these keys, so its effects on a process are limited: the number
+of packets that wait for the event loop, of opened streams, and of answers to packets of unknown streams.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ ROOT = "lfield/v1"
 #: Bytes of the random numbers in keys.
 ID_SIZE = 8
 
-#: Bytes of the packets of one subscription that wait for the event loop, and what a waiting packet counts in
-#: addition. Further packets are dropped, and their streams repeat them.
+#: Bytes of the packets of one subscription that wait for the event loop, and the bytes that a waiting packet
+#: counts in addition. Further packets are dropped, and their streams repeat them.
 MAX_WAITING, WAITING_PACKET = 4 << 20, 1 << 10
 #: Streams that callers may open, and packets of unknown streams that are answered, in any second. A
 #: legitimate caller repeats its request.
@@ -55,7 +55,7 @@ class _PerSecond:
         self._limit, self._count, self._end = limit, 0, 0.0
 
     def is_permitted(self, now: float) -> bool:
-        """Count an event; whether it is within the limit."""
+        """Count an event; returns whether it is within the limit."""
         if now >= self._end:
             self._count, self._end = 0, now + 1.0
         self._count += 1
@@ -67,7 +67,8 @@ class _Inflow:
 
     def __init__(self, loop: asyncio.AbstractEventLoop, deliver: Callable[[str, bytes], None]) -> None:
         self._loop, self._deliver = loop, deliver
-        #: Bytes that arrived and that were delivered; each is written by one thread only.
+        #: The number of bytes that arrived, and of bytes that were delivered; each number is written by one
+        #: thread only.
         self._arrived = self._delivered = 0
 
     def on_packet(self, key: str, data: bytes) -> None:
@@ -98,7 +99,7 @@ class ZenohEndpoint:
             raise ValueError(reason)
         self._loop = asyncio.get_running_loop()
         self.is_open = asyncio.Event()
-        #: Why the session is not open.
+        #: The reason why the session is not open.
         self.failure = ""
         self._session: ZenohSession = ZenohSession(
             config, self._in_loop(self.is_open.set), self._in_loop(self._on_failure)
@@ -115,11 +116,11 @@ class ZenohEndpoint:
         self._session.watch_tokens(f"{ROOT}/to/*", self._in_loop(self._on_token_end))
 
     def close(self) -> None:
-        """Close the session; streams end without a word to their peers."""
+        """Close the session; streams end without a message to their peers."""
         self._session.close()
 
     def _in_loop(self, call: Callable[..., None]) -> Callable[..., None]:
-        """The same call, from any thread; without effect after the loop was closed."""
+        """Call `call` in the loop, from any thread; without effect after the loop was closed."""
 
         def later(*arguments: object) -> None:
             with suppress(RuntimeError):
@@ -155,13 +156,13 @@ class ZenohEndpoint:
         self._listeners[f"{name}/{port}"] = (on_pipe, subscription, self._session.declare_token(key))
 
     def stop_listening(self, name: str, port: int) -> None:
-        """Accept no further streams; existing ones remain."""
+        """Accept no further streams; existing streams remain open."""
         if (listener := self._listeners.pop(f"{name}/{port}", None)) is not None:
             for handle in listener[1:]:
                 self._session.withdraw(handle)
 
     def dial(self, name: str, port: int) -> ZenohPipe:
-        """A stream to a listener; its `opened` is done when that has accepted it."""
+        """A stream to a listener; its `opened` is done when the listener has accepted it."""
         stream = secrets.token_hex(ID_SIZE)
         request = f"{ROOT}/at/{name}/{port}/{self._inbox}/{stream}"
         pipe = self._pipes["", stream] = ZenohPipe(
@@ -213,7 +214,9 @@ class ZenohEndpoint:
             self._session.publish_once(f"{ROOT}/to/{sender}/{self._inbox}/{stream}", answer)
 
     def _pin(self, sender: str, stream: str) -> ZenohPipe | None:
-        """A dialled stream whose listener answers for the first time; from now on it is the only peer."""
+        """The listener of a dialled stream answers for the first time; from now on this listener is the only
+        peer.
+        """
         pipe = self._pipes.pop(("", stream), None)
         if pipe is not None:
             self._pipes[sender, stream] = pipe
@@ -226,7 +229,7 @@ class ZenohEndpoint:
             self._session.forget(f"{ROOT}/to/{peer}/{self._inbox}/{stream}")
 
     def _on_token_end(self, key: str) -> None:
-        """A peer, or a router between, has ended. Its last packets may still arrive: so ask."""
+        """A peer, or a router in between, has ended. Its last packets may still arrive, so ask the peer."""
         peer = key.rpartition("/")[2]
         for (inbox, _), pipe in list(self._pipes.items()):
             if inbox == peer:

@@ -37,7 +37,7 @@ class CombinedListener:
 class HostTransport:
     """`tcp`, and Zenoh as `NETWORK` configures it, with links of the same kind. See `Transport`.
 
-    Of several addresses, all of the kind of the first are tried before those of the other kind.
+    Of several addresses, all addresses of the kind of the first are tried before the others.
     """
 
     def __init__(self, tcp: TcpTransport, connect_timeout: float = 5.0) -> None:
@@ -46,14 +46,14 @@ class HostTransport:
         self._note: Callable[[LogLine], None] = lambda line: None
 
     def log_to(self, note: Callable[[LogLine], None]) -> None:
-        """Write log lines there from now on."""
+        """Write log lines with `note` from now on."""
         self._note = note
         self.tcp.log_to(note)
         if self._zenoh is not None:
             self._zenoh.log_to(note)
 
     def close(self) -> None:
-        """Leave the fabric; links in it end without a word to their peers."""
+        """Leave the fabric; its links end without a message to their peers."""
         if self._zenoh is not None:
             self._zenoh.close()
             self._zenoh = None
@@ -109,7 +109,7 @@ class HostTransport:
 
 
 def _groups(address: str) -> list[str]:
-    """The addresses in order, those of TCP together: it tries them at the same time."""
+    """The addresses in order; TCP addresses are in one group, because TCP tries them at the same time."""
     each = split_addresses(address)
     tcp = ",".join(one for one in each if not is_zenoh(one))
     groups = dict.fromkeys(one if is_zenoh(one) else tcp for one in each)

@@ -22,7 +22,8 @@ HEADER_SIZE, MAX_NUMBER = _HEADER.size, 0xFFFFFFFF
 
 class Kind(IntEnum):
     """The kinds of packets. DATA and FIN are numbered, and repeated until they are acknowledged. PROBE asks
-    what has arrived, and ANSWER says it."""
+    for the packets that have arrived, and ANSWER reports them.
+    """
 
     OPEN = 1
     ACCEPT = 2
@@ -52,7 +53,7 @@ class Packet(NamedTuple):
 
 
 def decode_packet(data: bytes) -> Packet | None:
-    """The packet in a publication; None if it is malformed, which counts as lost."""
+    """The packet in a publication; None if it is malformed; such a packet counts as lost."""
     if len(data) < HEADER_SIZE:
         return None
     kind, number, expected, unread = _HEADER.unpack_from(data)

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from lfield.net.stream_link import StreamLink
     from lfield.wire.framing import Buffer
 
-#: Bytes that wait before the writer pauses, if it states no limit.
+#: The bytes that wait before the writer pauses, if the writer sets no limit.
 DEFAULT_HIGH_WATER = 64 << 10
 
 
 class NoSocket:
-    """In place of a TCP socket: it has no options and no counters."""
+    """A substitute for a TCP socket, without options and counters."""
 
     family = socket.AF_UNSPEC
 
@@ -33,7 +33,7 @@ class NoSocket:
 class ZenohPipe(asyncio.Transport):
     """One end of a stream: a shell that executes its effects.
 
-    `send` publishes a packet, `on_end` is called when nothing will be sent any more. `peer` is the address of
+    `send` publishes a packet, `on_end` is called when no more packets will be sent. `peer` is the address of
     the peer as host and port.
     """
 
@@ -51,9 +51,11 @@ class ZenohPipe(asyncio.Transport):
         self._high, self._low = DEFAULT_HIGH_WATER, DEFAULT_HIGH_WATER // 4
         self._is_writing_paused = self._is_closing = self._is_reading = False
         self._timer: asyncio.Handle | None = None
-        #: When the timer fires. uvloop's handle of a timer that is due at once does not say it.
+        #: The time when the timer fires. uvloop's handle of a timer that is due at once does not contain the
+        #: time.
         self._timer_due = 0.0
-        #: Done when the peer has accepted the stream; with the reason if it ended before.
+        #: A future that is done when the peer has accepted the stream; with the reason if the stream ended
+        #: before.
         self.opened: asyncio.Future[str] = self._loop.create_future()
         # Data that arrives before the link is made waits.
         stream.pause()
@@ -66,7 +68,7 @@ class ZenohPipe(asyncio.Transport):
         self.resume_reading()
 
     def pin(self, send: Callable[[bytes], None], on_end: Callable[[], None]) -> None:
-        """The listener that has answered is the peer."""
+        """Make the listener that has answered the peer."""
         self._publish, self._on_end = send, on_end
 
     # --- from the fabric ----------------------------------------------------------------------------------
@@ -94,7 +96,7 @@ class ZenohPipe(asyncio.Transport):
         return self._low, self._high
 
     def get_write_buffer_size(self) -> int:
-        """Bytes that the peer has not read: what the fabric holds is as good as not sent."""
+        """The number of bytes that the peer has not read, including the bytes that the fabric buffers."""
         return self._stream.pending + self._stream.in_flight
 
     def is_closing(self) -> bool:
@@ -105,7 +107,7 @@ class ZenohPipe(asyncio.Transport):
         self._stream.pause()
 
     def resume_reading(self) -> None:
-        # Later: the caller is a callback of the link.
+        # The call is made later, because the caller is a callback of the link.
         self._is_reading = True
         self._loop.call_soon(self._resume)
 
@@ -170,7 +172,9 @@ class ZenohPipe(asyncio.Transport):
             self._link.connection_lost(OSError(reason) if reason else None)
 
     def _update_timer(self) -> None:
-        """Wake when the stream is due. A timer that is too early stays: it costs less than a new one."""
+        """Set the timer for the next time-out of the stream. A timer that expires too early is kept: it takes
+        less time than a new one.
+        """
         due = self._stream.deadline
         if self._timer is not None and (due is None or due < self._timer_due):
             self._timer.cancel()

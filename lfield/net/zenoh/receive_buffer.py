@@ -1,4 +1,4 @@
-"""Received packets of a numbered stream: those that are not read yet, and those after a gap."""
+"""Received packets of a numbered stream: the packets that are not read yet, and the packets after a gap."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from lfield.net.zenoh.send_window import MAX_SEGMENT, MAX_WINDOW
 if TYPE_CHECKING:
     from lfield.net.zenoh.packets import Packet
 
-#: Packets that may be on the way or unread, so that these many are kept ahead of a missing one; their bytes.
+#: The number of packets that may be in transit or unread, which are therefore kept ahead of a missing one;
+#: and their bytes.
 MAX_AHEAD, MAX_BYTES = 1024, MAX_WINDOW + MAX_SEGMENT
 
 
 class Arrival(Enum):
-    """What a packet was: the expected one, the one that closed a gap, any other, or one too many."""
+    """The kind of a received packet: the expected one, the one that closed a gap, any other one, or one
+    beyond the limit.
+    """
 
     EXPECTED = auto()
     CLOSED_GAP = auto()
@@ -37,7 +40,7 @@ class ReceiveBuffer:
 
     @property
     def unread(self) -> int:
-        """How many packets were received in order and not read."""
+        """The number of packets that were received in order and not read."""
         return len(self._unread)
 
     @property

@@ -1,8 +1,9 @@
-"""Window of a numbered stream: how many bytes may be on the way, and when the peer is asked for them.
+"""Window of a numbered stream: the number of bytes that may be in transit, and the time when the peer is
+asked for them.
 
-The fabric queues what a slow path cannot carry, and an emergency stop waits behind it. So the window follows
-the delay: it grows while it is used and answers are about as fast as the fastest one, and shrinks when they
-are later.
+The fabric queues the data that a slow path cannot carry, and an emergency stop waits behind this data. So the
+window follows the delay: it grows while it is used and answers are about as fast as the fastest one, and
+shrinks when answers are later.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from lfield.net.health.link_heartbeats import DEVIATIONS, SmoothedRtt
 
 #: Largest data of one packet in bytes.
 MAX_SEGMENT = 8 << 10
-#: Bytes on the way: initial, minimum, maximum.
+#: The bytes in transit: initial, minimum, maximum.
 INITIAL_WINDOW, MIN_WINDOW, MAX_WINDOW = 16 << 10, 4 << 10, 256 << 10
 #: Seconds by which an answer may exceed the fastest one before the window shrinks.
 MAX_QUEUEING = 0.2
@@ -37,7 +38,9 @@ class SendWindow:
 
     @property
     def timeout(self) -> float:
-        """Seconds until the peer is asked what has arrived (as RFC 6298 for a repetition)."""
+        """The seconds until the peer is asked for the packets that have arrived (as in RFC 6298 for a
+        repetition).
+        """
         mean = self._rtt.mean
         if mean is None:
             return min(INITIAL_TIMEOUT * self._backoff, MAX_TIMEOUT)
@@ -46,8 +49,9 @@ class SendWindow:
         return min(usual * self._backoff, longest)
 
     def on_answer(self, seconds: float, acknowledged: int, in_flight: int) -> None:
-        """A packet was acknowledged that was sent once: its round trip, the acknowledged bytes, and those
-        that were on the way."""
+        """A packet that was sent once was acknowledged: its round trip, the acknowledged bytes, and the bytes
+        that were in transit.
+        """
         self._rtt.update(seconds)
         self._fastest = min(self._fastest or seconds, seconds)
         self._backoff = 1
@@ -57,7 +61,7 @@ class SendWindow:
             self.size = min(MAX_WINDOW, self.size + acknowledged)
 
     def on_silence(self) -> None:
-        """No acknowledgement came in time."""
+        """No acknowledgement arrived in time."""
         self._backoff = min(2 * self._backoff, 64)
 
     def on_loss(self) -> None:

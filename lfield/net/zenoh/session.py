@@ -19,22 +19,22 @@ import zenoh
 
 from lfield.net.zenoh.config import ZenohConfig
 
-#: Bytes of packets that wait for the thread; further ones are dropped.
+#: Bytes of packets that wait for the thread; further packets are dropped.
 MAX_QUEUED = 4 << 20
-#: Seconds between two attempts to open the session, for a query of tokens, and for what is queued when the
-#: session is closed.
+#: Seconds between two attempts to open the session, for a query of tokens, and for the packets that are
+#: queued when the session is closed.
 RETRY, QUERY_TIMEOUT, FLUSH_TIMEOUT = 0.5, 2.0, 3.0
 #: Seconds for the threads of handlers at the end of the process: until the last callback, and after it.
 HANDLER_TIMEOUT, HANDLER_PAUSE = 2.0, 0.05
 
 #: Called in a thread of Zenoh, with the key and the bytes of a publication.
 OnPacket = Callable[[str, bytes], None]
-#: Called in a thread of Zenoh: whether a token was found, and how many routers and peers are connected.
+#: Called in a thread of Zenoh with whether a token was found, and the number of connected routers and peers.
 OnFound = Callable[[bool, int], None]
 
 
 class ZenohSession:
-    """A session that is opened in the background, and again until that succeeds.
+    """A session that is opened in the background, and again until it succeeds.
 
     Methods may be called in any thread and return at once. `on_open` and `on_failure` are called in the
     thread of the session: when it is open, and for each failed attempt.
@@ -45,7 +45,8 @@ class ZenohSession:
     ) -> None:
         self._config, self._on_open, self._on_failure = config, on_open, on_failure
         self._calls: SimpleQueue[Callable[[], None] | tuple[str, bytes]] = SimpleQueue()
-        #: Bytes of packets that were queued and that were sent; each is written by one thread only.
+        #: The bytes of packets that were queued, and of packets that were sent; each number is written by one
+        #: thread only.
         self._queued = self._sent = 0
         self.is_open = False
         self._is_closed = threading.Event()
@@ -60,7 +61,7 @@ class ZenohSession:
     # --- any thread ---------------------------------------------------------------------------------------
 
     def publish(self, key: str, data: bytes) -> None:
-        """Publish a packet, or drop it: without a session, and while too many wait."""
+        """Publish a packet, or drop it without a session or while too many packets wait."""
         if self.is_open and self._queued - self._sent <= MAX_QUEUED:
             self._queued += len(data)
             self._calls.put((key, data))
@@ -71,7 +72,7 @@ class ZenohSession:
             self._calls.put(lambda: self._put_once(key, data))
 
     def forget(self, key: str) -> None:
-        """Nothing is published with this key any more."""
+        """Forget a key, with which no more packets will be published."""
         self._calls.put(lambda: self._forget(key))
 
     def subscribe(self, key: str, on_packet: OnPacket) -> int:
@@ -104,13 +105,13 @@ class ZenohSession:
         self._calls.put(lambda: self._withdraw(handle))
 
     def close(self) -> None:
-        """Send what is queued, and close the session."""
+        """Send the queued packets, and close the session."""
         if not self._is_closed.is_set():
             self._is_closed.set()
             self._calls.put(self._end)
 
     def _close_at_exit(self) -> None:
-        """The interpreter must not end while the thread is in a call of Zenoh."""
+        """Close the session at exit: the interpreter must not end while the thread is in a call of Zenoh."""
         self.close()
         self._thread.join(FLUSH_TIMEOUT)
 
@@ -147,7 +148,7 @@ class ZenohSession:
         self._sent += len(data)
         publisher = self._publishers.get(key)
         if publisher is None:
-            # A full queue drops packets. "Block" would stop those to all other hosts as well.
+            # A full queue drops packets. "Block" would stop the packets to all other hosts as well.
             publisher = self._publishers[key] = session.declare_publisher(
                 key,
                 congestion_control=zenoh.CongestionControl.DROP,
@@ -209,7 +210,7 @@ class _Handlers:
             self._count, self._is_used = self._count + 1, True
 
     def on_dropped(self) -> None:
-        """Zenoh calls a handler no more."""
+        """Zenoh does not call a handler any more."""
         with self._changed:
             self._count -= 1
             self._changed.notify_all()
@@ -224,15 +225,16 @@ class _Handlers:
 
 
 _HANDLERS = _Handlers()
-# Registered before the sessions, so it is called after they have closed.
+# This function is registered before the sessions, so it is called after they have closed.
 atexit.register(_HANDLERS.wait_at_exit)
 
 
 def _handler(call: Callable[[Any], None], drop: Callable[[], None] | None = None) -> Any:
     """A handler in a thread of its own.
 
-    In the thread of the network it would wait for the interpreter's lock while it holds one of Zenoh. A call
-    of Zenoh that holds the interpreter's lock and needs the other one would stop the process for ever.
+    In the thread of the network, a handler would wait for the interpreter's lock while it holds a lock of
+    Zenoh. A call of Zenoh that holds the interpreter's lock and needs the other lock would then stop the
+    process for ever.
     """
 
     def dropped() -> None:
@@ -252,7 +254,7 @@ def _zenoh_config(config: ZenohConfig) -> zenoh.Config:
 
 
 def rejected_setting(config: ZenohConfig) -> str:
-    """The first setting that Zenoh rejects, and why; '' if it accepts all."""
+    """The first setting that Zenoh rejects, with the reason; '' if Zenoh accepts all."""
     made = zenoh.Config()
     for key, value in config.options().items():
         try:
@@ -268,7 +270,8 @@ _QUOTED = re.compile(r'(?:msg: |Str\()"(.+?)(?:"|$)')
 
 
 def _first_line(error: Exception) -> str:
-    """The sentence of an error of Zenoh, without the place in its source; '' if it says no more than that
-    nothing answers."""
+    """The sentence of an error of Zenoh, without the place in its source; '' if it only says that no process
+    answers.
+    """
     text = str(error).partition("\n")[0].partition(" at /")[0].strip()
     return "" if text.startswith("Unable to connect to any of") else text

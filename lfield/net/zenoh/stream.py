@@ -2,8 +2,8 @@
 
 Sans-IO: events in, effects out; the time is passed in. Zenoh's own order and reliability hold from hop to hop
 only: a router that ends, a full queue, and a subscription that is not declared everywhere yet lose packets,
-and no end learns of it. So both ends number their packets and repeat those that are not acknowledged. Opening
-and closing are packets of this stream too: the end of a liveliness token may overtake data.
+and neither end gets a report. So both ends number their packets and repeat those that are not acknowledged.
+Opening and closing are packets of this stream too: the end of a liveliness token may overtake data.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ from lfield.net.zenoh.send_window import MAX_SEGMENT, SendWindow
 ACK_DELAY, ACK_BYTES = 0.02, MAX_SEGMENT
 #: First and longest delay in seconds between two requests to open a stream.
 FIRST_OPEN, LAST_OPEN = 0.1, 1.0
-#: Seconds of silence that end a stream with unacknowledged data, and one whose peer has lost its session.
+#: Seconds of silence that end a stream with unacknowledged data, and that end a stream whose peer has lost
+#: its session.
 SILENCE, SUSPECTED_SILENCE = 10.0, 3.0
-#: Seconds of silence after which an idle stream asks, and one whose peer has not read asks again.
+#: Seconds of silence after which an idle stream asks its peer, and after which a stream whose peer has not
+#: read asks again.
 IDLE, STALLED = 15.0, 1.0
 
 
@@ -57,7 +59,7 @@ Effect = SendPacket | Deliver | Opened | Closed
 
 @dataclass(slots=True)
 class _Sent:
-    """A numbered packet that is not acknowledged: when it was sent, and how often."""
+    """A numbered packet that is not acknowledged: the time of sending, and the number of sendings."""
 
     kind: Kind
     data: bytes
@@ -74,7 +76,7 @@ class NumberedStream:
     def __init__(self, now: float, *, calls: bool) -> None:
         self._calls, self.is_open, self.is_closed = calls, not calls, False
         self.window = SendWindow()
-        #: Data that was not sent, and its size.
+        #: The data that was not sent, and its size.
         self._pending: deque[memoryview] = deque()
         self.pending = 0
         #: Packets from `_acknowledged` to `_next` - 1; the peer has read those before `_read_by_peer`.
@@ -83,11 +85,11 @@ class NumberedStream:
         #: Sizes of the packets that the peer has not read, and their sum.
         self._unread_sizes: deque[int] = deque()
         self.in_flight = 0
-        #: When the peer is asked for the first of them; the number of the last question, and of the packet
-        #: that was to be sent then.
+        #: The time when the peer is asked for the first of these packets; the number of the last question,
+        #: and of the next packet at that time.
         self._check_at, self._question, self._asked_next = 0.0, 0, 0
-        #: Packets before this one are repeated, each when the one before was acknowledged; and how many
-        #: acknowledgements brought nothing new.
+        #: Packets before this one are repeated, each when the one before was acknowledged; and the number of
+        #: acknowledgements of no further packet.
         self._recover_to, self._same_acks = 0, 0
         self._buffer = ReceiveBuffer()
         self._is_paused = self._is_closing = self._has_sent_end = False
@@ -110,7 +112,7 @@ class NumberedStream:
         return self._drain()
 
     def close(self, now: float) -> list[Effect]:
-        """Send what is pending, then the end; `Closed` follows when the peer has acknowledged it."""
+        """Send the pending data, then the end; `Closed` follows when the peer has acknowledged it."""
         if not (self._is_closing or self.is_closed):
             self._is_closing = True
             self._is_paused = False
@@ -126,15 +128,15 @@ class NumberedStream:
         return self._drain()
 
     def pause(self) -> None:
-        """Deliver nothing until `resume`."""
+        """Stop the delivery until `resume`."""
         self._is_paused = not self._is_closing
 
     def resume(self, now: float) -> list[Effect]:
-        """Deliver what has arrived meanwhile."""
+        """Deliver the data that has arrived since `pause`."""
         if self._is_paused and not self.is_closed:
             self._is_paused = False
             if self._read_on() and not self.is_closed:
-                # The peer may wait for this before it sends more.
+                # The peer may wait for this acknowledgement before it sends more.
                 self._send(Kind.ACK)
         return self._drain()
 
@@ -194,12 +196,12 @@ class NumberedStream:
 
     @property
     def delivery(self) -> Delivery:
-        """What the peer has acknowledged, in packets."""
+        """The data that the peer has acknowledged, in packets."""
         return Delivery(self._acknowledged, bool(self._sent), *self.window.round_trip)
 
     @property
     def deadline(self) -> float | None:
-        """When `on_time` is due; None after the end."""
+        """The time when `on_time` is due; None after the end."""
         if self.is_closed:
             return None
         if not self.is_open:
@@ -213,12 +215,12 @@ class NumberedStream:
 
     @property
     def _silence_start(self) -> float:
-        """Since when an answer of the peer is missing."""
+        """The time since when an answer of the peer is missing."""
         return max(self._last_received, self._sent[0].at) if self._sent else self._last_received
 
     @property
     def _silence_end(self) -> float:
-        """When silence ends the stream."""
+        """The time when silence ends the stream."""
         if self._suspected_at is not None:
             return self._suspected_at + SUSPECTED_SILENCE
         is_answer_due = bool(self._sent) or not self.is_open
@@ -226,7 +228,7 @@ class NumberedStream:
 
     @property
     def _ask_at(self) -> float:
-        """When to ask the peer for a sign of life, or whether it has read meanwhile."""
+        """The time at which to ask the peer for a sign of life, or whether it has read more data."""
         stalled = (
             bool(self._pending) or self._suspected_at is not None or self._last_received < self._asked_at
         )
@@ -245,7 +247,7 @@ class NumberedStream:
         self._ack_at, self._unacknowledged = None, 0
 
     def _send_pending(self, now: float) -> None:
-        """Send what the window admits, and after it the end."""
+        """Send the data that the window admits, and then the end."""
         if self.is_closed or not self.is_open:
             return
         while self._may_send and not self.is_closed:
@@ -283,13 +285,17 @@ class NumberedStream:
         self._next += 1
 
     def _ask(self, now: float) -> None:
-        """Ask what has arrived. A packet is repeated only after the answer: on a slow path it may be late."""
+        """Ask for the packets that have arrived. A packet is repeated only after the answer: on a slow path
+        it may be late.
+        """
         self._asked_at, self._asked_next = now, self._next
         self._question = (self._question + 1) & MAX_NUMBER
         self._send(Kind.PROBE, self._question)
 
     def _on_answer(self, now: float) -> None:
-        """The answer to the last question: what was sent before and is not acknowledged is lost."""
+        """The answer to the last question arrived: packets that were sent before the question and are not
+        acknowledged are lost.
+        """
         if self._sent and self._acknowledged < self._asked_next:
             self._recover(self._asked_next, now)
         self._asked_next = 0
@@ -324,7 +330,7 @@ class NumberedStream:
             self._read_by_peer += 1
 
     def _forget(self, count: int, now: float) -> None:
-        """The peer has received that many more packets."""
+        """Remove `count` more packets, which the peer has received."""
         in_flight, size, is_first, is_ended = self.in_flight, 0, True, False
         for _ in range(count):
             last = self._sent.popleft()
@@ -334,7 +340,7 @@ class NumberedStream:
         self._acknowledged += count
         self._check_at = now + self.window.timeout
         if is_first:
-            # Otherwise the last may have waited for the repetition of another.
+            # Otherwise the last packet may have waited for the repetition of another one.
             self.window.on_answer(now - last.at, size, in_flight)
         if is_ended:
             self._end("")
@@ -342,7 +348,7 @@ class NumberedStream:
     # --- receiving ----------------------------------------------------------------------------------------
 
     def _is_plausible(self, packet: Packet) -> bool:
-        """Whether a packet may be from the peer: it acknowledges nothing that was not sent."""
+        """Whether a packet may be from the peer: it acknowledges only packets that were sent."""
         if packet.kind is Kind.OPEN and self._calls:
             return False
         return packet.expected <= self._next or packet.kind is Kind.RESET
@@ -360,7 +366,7 @@ class NumberedStream:
             return
         self._unacknowledged += len(packet.data)
         if arrival is not Arrival.EXPECTED or self._unacknowledged >= ACK_BYTES:
-            # The peer has to know of a gap, and of a repetition, whose acknowledgement was lost.
+            # The peer has to be informed of a gap, and of a repetition, since the acknowledgement was lost.
             self._send(Kind.ACK)
         elif self._ack_at is None:
             self._ack_at = now + ACK_DELAY
@@ -368,7 +374,7 @@ class NumberedStream:
     def _read_on(self) -> bool:
         """Deliver received packets unless paused; returns whether there were any.
 
-        It is one effect: the owner may pause when it receives it.
+        The delivery is one effect, because the owner may pause when it receives the data.
         """
         if self._is_paused or self.is_closed or not self._buffer.unread:
             return False

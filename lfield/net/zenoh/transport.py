@@ -1,4 +1,4 @@
-"""Transport over a Zenoh fabric: "zenoh:NAME:PORT". The fabric needs not be trusted: TLS runs end to end.
+"""Transport over a Zenoh fabric: "zenoh:NAME:PORT". The fabric need not be trusted: TLS runs end to end.
 
 The links are those of TCP (`stream_link`, `tls_link`), over numbered streams.
 """
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lfield.text.log_messages import LogLine
 
 #: Seconds for the session before a listener waits for it in the background, and seconds without an answer
-#: before a listener is looked up: its name may not have reached every router.
+#: before a listener is looked up: the name may not have reached every router.
 SESSION_TIMEOUT, LOOK_UP_AFTER = 2.0, 1.0
 #: Ports of listeners without a port.
 FREE_PORTS = range(49152, 65536)
@@ -60,7 +60,7 @@ class ZenohTransport:
     """Hosts by their names in a fabric, in a running loop. `new_link` makes the links.
 
     `connect_timeout`: seconds to open a stream, and again for the handshake of its link. The session is
-    opened at the first use, and again until that succeeds.
+    opened at the first use, and again until it succeeds.
     """
 
     def __init__(self, config: ZenohConfig, new_link: NewLink, connect_timeout: float = 5.0) -> None:
@@ -69,11 +69,11 @@ class ZenohTransport:
         self._note: Callable[[LogLine], None] = lambda line: None
 
     def log_to(self, note: Callable[[LogLine], None]) -> None:
-        """Write log lines there from now on."""
+        """Write log lines with `note` from now on."""
         self._note = note
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> ZenohListener:
-        """See `Transport.listen`. Without a router, it listens as soon as there is one.
+        """See `Transport.listen`. Without a router, it listens as soon as a router is connected.
 
         Raises MissingZenoh, and AddressError for a name that another program has.
         """
@@ -114,7 +114,7 @@ class ZenohTransport:
         return link
 
     def close(self) -> None:
-        """Close the session; open links end without a word to their peers."""
+        """Close the session; open links end without a message to their peers."""
         if self._endpoint is not None:
             self._endpoint.close()
             self._endpoint = None
@@ -163,7 +163,7 @@ class ZenohTransport:
                 raise AddressError(address, f"the stream was not opened: {reason}")
 
     def _why_closed(self, endpoint: ZenohEndpoint) -> str:
-        """Why there is no session."""
+        """The reason why there is no session."""
         where = " or ".join(self._config.connect) or "the network"
         detail = f" ({endpoint.failure})" if endpoint.failure else ""
         return f"no Zenoh router answers at {where}{detail}; lfield retries"

@@ -1,9 +1,9 @@
 """Majority leases, fencing and failover of one host: events in, effects out. Sans-IO.
 
-Why two copies of a coordinator never act at once: a majority that granted a lease and one that promised a
-failover share a member. If it acknowledged a heartbeat after its promise, the answer carried the fence; if
-before, the heartbeat predates the promise, and its part of the lease expires one lease later. The new holder
-waits longer than that. See decision 45.
+Two copies of a coordinator never act at once: a majority that granted a lease and a majority that promised a
+failover share a member. If this member acknowledged a heartbeat after its promise, the answer carried the
+fence. If it did so before, the heartbeat predates the promise, and the member's part of the lease expires one
+lease later. The new holder waits longer than this. See decision 45.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from lfield.wire.quorum_messages import (
 class Quorum:
     """The leases and fences of one host in this `incarnation`.
 
-    `hosts` are the others of the team, `agents` the coordinators under leases, `fences` their tokens from the
-    journal. A host whose `members` do not know its promises has lost them with its journal. Times are in
-    seconds on the host's clock.
+    `hosts` are the other hosts of the team, `agents` the coordinators under leases, `fences` their tokens
+    from the journal. A host that does not know its promises (`members`) has lost them with its journal. Times
+    are in seconds on the host's clock.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Quorum:
         #: The last known or promised holder of each agent: host, generation and time.
         self._holders: dict[str, tuple[str, int, float]] = {}
         self._next_heartbeat: float | None = None
-        #: Members whose fences must arrive before this one grants a lease or a promise.
+        #: Members whose fences must arrive before this host grants a lease or a promise.
         self._unreachable = set() if members.knows_promises else set(members.others)
         self._needed_members = False
         self._confirm_promises()
@@ -76,9 +76,9 @@ class Quorum:
     # --- time -----------------------------------------------------------------------------------------
 
     def start(self, now: float, *, first: bool = False) -> None:
-        """Start taking part; before, this host only answers.
+        """Take part from now on; before this call, the host only answers.
 
-        `first`: the operator asserts that it never promised anything.
+        `first`: the operator asserts that this host never made a promise.
         """
         self._next_heartbeat = now
         if first:
@@ -96,12 +96,12 @@ class Quorum:
         return sorted(self._unreachable)
 
     def _confirm_promises(self) -> None:
-        """With the fences of all other members, this host knows its own promises."""
+        """Record that this host knows its own promises, when the fences of all other members are known."""
         self.members.confirm_promises(known=not self._unreachable)
 
     @property
     def due(self) -> float | None:
-        """When `tick` is due; None before `start`."""
+        """The time when `tick` is due; None before `start`."""
         if self._next_heartbeat is None:
             return None
         other = self._failover.due
@@ -123,7 +123,7 @@ class Quorum:
         return effects + self._failover.tick(now)
 
     def request_lease(self, now: float) -> None:
-        """Request the lease for a waiting coordinator, unless just requested.
+        """Request the lease for a waiting coordinator, unless it was requested just before.
 
         At a home that is no member, the coordinator may not have started yet; requests repeat until the lease
         is held.
@@ -134,7 +134,7 @@ class Quorum:
             self._next_heartbeat = min(self._next_heartbeat, now)
 
     def _detect_stall(self, now: float) -> None:
-        """A host that was stalled suspects itself before it suspects others."""
+        """Detect a stall of this host: a host that was stalled suspects itself before it suspects others."""
         if self._next_heartbeat is not None and now > self._next_heartbeat + self.members.heartbeat_interval:
             self._failover.on_stall(now)
 
@@ -144,7 +144,7 @@ class Quorum:
         self._needed_members = self._needed_members and not self.lease.holds(now)
         if not (held or self._needed_members or self._is_member):
             return []
-        # A host without a lease cannot act, even if reachable: others may have to take over.
+        # A host without a lease cannot act, even if it is reachable: other hosts may have to take over.
         leased = held if self.lease.holds(now) else []
         beat = Heartbeat(self._incarnation, self.lease.next_heartbeat(now), self.terminations.digest, leased)
         return [SendQuorumMessage(host, beat) for host in self.members.others]
@@ -163,14 +163,14 @@ class Quorum:
     def _live_checkpoint(self, agent: str) -> CheckpointId | None:
         """The progress of an agent that is here and not fenced.
 
-        A terminated one counts until the termination is final, so that it is not recovered meanwhile.
+        A terminated agent counts until the termination is final, so that no host recovers it before.
         """
         saved = self._copies.checkpoint(agent)
         if saved is None or self.is_fenced(agent, saved.position.generation):
             return None
         return saved.position if saved.is_alive or not saved.is_final else None
 
-    # --- what coordinators may do ---------------------------------------------------------------------
+    # --- permissions of coordinators ------------------------------------------------------------------
 
     def is_fenced(self, agent: str, generation: int) -> bool:
         """Whether this start is fenced, on any host."""
@@ -201,7 +201,7 @@ class Quorum:
         return [self._locate(agent, now) for agent in agents or sorted(self._agents)]
 
     def on_located(self, host: str, record: LeaseRecord, now: float) -> list[Effect]:
-        """Process what a host knows of an agent."""
+        """Process a host's record of an agent."""
         self._detect_stall(now)
         ends = self._on_termination(host, record.agent, record.ended, now)
         return [*ends, *self._failover.on_located(host, record, now)]
@@ -211,7 +211,7 @@ class Quorum:
             self._note_holder(host, held.agent, held.generation, now)
         known = message.fences == self.terminations.digest
         fences, ended = ([], []) if known else (self.fences.all, self.terminations.all)
-        # Number 0 is no heartbeat: it carries fences and grants no lease.
+        # Number 0 is no heartbeat: the message carries fences and grants no lease.
         number = message.number if self.knows_promises else 0
         # An incomplete set of fences would be useless: no lease is granted then.
         whole = len(fences) <= MAX_RECORDS and len(ended) <= MAX_RECORDS
@@ -222,13 +222,13 @@ class Quorum:
         )
 
     def _note_holder(self, host: str, agent: str, generation: int, now: float) -> None:
-        """A host holds an agent, or is about to."""
+        """Record that a host holds an agent, or is about to hold it."""
         if agent in self._agents and not self.is_fenced(agent, generation):
             self._holders[agent] = host, generation, now
             self._failover.on_holder(agent, generation, now)
 
     def _on_ack(self, host: str, message: HeartbeatAck, now: float) -> list[Effect]:
-        """The lease counts an acknowledgement only together with its fences."""
+        """Process an acknowledgement, which the lease counts only together with its fences."""
         if message.incarnation != self._incarnation:
             return []
         effects: list[Effect] = []
@@ -265,7 +265,7 @@ class Quorum:
         risen = self._raise_fence(message.agent, message.fence, f"{host} promised its recovery")
         ends = self._on_termination(host, message.agent, message.ended, now)
         if message.ended is not None:
-            # The promise made here waits until no recovery can start by it.
+            # The promise made here waits until no recovery can start with it.
             known = self.terminations.covering_termination(message.agent, message.ended.generation)
             ended = known or message.ended
             claimed = self._failover.claimed_generation(message.agent)
@@ -303,7 +303,7 @@ class Quorum:
         return [RaiseFence(agent, generation, reason)]
 
     def _locate(self, agent: str, now: float) -> LeaseRecord:
-        """What this host knows of an agent."""
+        """This host's record of an agent."""
         if agent not in self._agents:
             return LeaseRecord(agent, None)
         saved, ended = self._copies.checkpoint(agent), self.terminations.termination_of(agent)
@@ -317,5 +317,5 @@ class Quorum:
 
 
 def _correction(host: str, record: LeaseRecord) -> SendQuorumMessage:
-    """An answer that a proposer did not ask for: it did not know this record."""
+    """An answer without a query, for a proposer that does not know this record."""
     return SendQuorumMessage(host, Located([record.agent], [], [record]))

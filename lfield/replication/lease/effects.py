@@ -14,10 +14,10 @@ from lfield.wire.quorum_messages import QuorumMessage
 class Checkpoint(NamedTuple):
     """The newest checkpoint that a host has of a coordinator, or the live coordinator itself.
 
-    `is_alive`: it runs here as soon as the lease permits, unless fenced. `interval`: seconds without a known
-    holder before failover; 0 for never. `ended`: the newest known start has terminated, so there is nothing
-    to resume. `is_final`: this host need not prevent a recovery. For a coordinator that terminated here, this
-    holds only after a majority has confirmed the termination on disk.
+    `is_alive`: the coordinator runs here as soon as the lease permits, unless it is fenced. `interval`:
+    seconds without a known holder before failover; 0 for never. `ended`: the newest known start has
+    terminated, so no copy can be resumed. `is_final`: this host need not prevent a recovery. For a
+    coordinator that terminated here, this holds only after a majority has confirmed the termination on disk.
     """
 
     position: CheckpointId
@@ -34,18 +34,18 @@ class CheckpointStore(Protocol):
         """The newest checkpoint or termination of an agent; None if unknown."""
 
     def allocate_generation(self, agent: str, above: int) -> int:
-        """A generation above `above` and all known ones, which no other host allocates."""
+        """A generation above `above` and all known generations, which no other host allocates."""
 
 
 class SendQuorumMessage(Struct, frozen=True):
-    """Send a message to a host. Drop it without a link: it is repeated."""
+    """Send a message to a host. Without a link the message is dropped, because it is repeated."""
 
     host: str
     message: QuorumMessage | Locate | Located
 
 
 class RaiseFence(Struct, frozen=True):
-    """Store a raised fencing token before later effects of that agent, and stop what it fences."""
+    """Store a raised fencing token before later effects of that agent, and stop the starts that it fences."""
 
     agent: str
     generation: int

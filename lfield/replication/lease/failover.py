@@ -1,10 +1,10 @@
 """Failover (thesis, appendix I, with fencing): resumes a coordinator whose holder is unreachable. Sans-IO.
 
 A host with a shadow that has no evidence of a holder for the shadow's interval queries every host. When a
-majority has answered, and none knows a holder or a newer shadow, it collects promises of a majority that
-fence all earlier starts, waits until every earlier lease has expired, and resumes. Most suspicions concern
-slow hosts and end with the query. So do those of a host that is itself cut off, which therefore raises no
-fence.
+majority has answered, and no host knows a holder or a newer shadow, it collects promises of a majority that
+fence all earlier starts, waits until every earlier lease has expired, and resumes the coordinator. Most
+suspicions concern slow hosts and end with the query. The suspicions of a host that is itself disconnected
+also end with the query, so it raises no fence.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ PHASE_TIMEOUT = 2.0
 class FailoverAttempt(Struct):
     """An attempt to resume an agent from `checkpoint`, with its next step at `due` and its end at `deadline`.
 
-    Hosts that have not answered by `answer_deadline` are not waited for. The new start begins before
-    `promises_valid_until` or not at all: until then, members that promised do not store terminations of
+    The attempt does not wait for answers after `answer_deadline`. The new start begins before
+    `promises_valid_until` or not at all: until that time, members that promised do not store terminations of
     earlier starts.
     """
 
@@ -55,7 +55,9 @@ class FailoverAttempt(Struct):
 
 
 class Failover:
-    """The suspicions and failover attempts of one host. `hosts` are the others, `agents` the coordinators."""
+    """The suspicions and failover attempts of one host. `hosts` are the other hosts, `agents` the
+    coordinators.
+    """
 
     def __init__(
         self,
@@ -71,15 +73,15 @@ class Failover:
         self._members, self._hosts, self._copies, self._fences = members, hosts, copies, fences
         self._agents, self._rng = agents, rng
         self._attempts: dict[str, FailoverAttempt] = {}
-        #: When a holder was last known, or the coordinator was here.
+        #: The time when a holder was last known, or when the coordinator was here.
         self._last_holder: dict[str, float] = {}
-        #: No new suspicion before this time: the last attempt has just failed.
+        #: The time before which there is no new suspicion, because the last attempt has just failed.
         self._back_off_until: dict[str, float] = {}
-        #: When each agent becomes suspected without news of a holder.
+        #: The time when each agent becomes suspected without news of a holder.
         self._suspected: dict[str, float] = {}
-        #: What was logged of each agent since its holder was last known, and when.
+        #: The last log line of each agent since its holder was last known, and its time.
         self._explained: dict[str, dict[str, float]] = {agent: {} for agent in agents}
-        #: Random addition to each interval.
+        #: The random addition to each interval.
         self._delays = {agent: self._delay() for agent in agents}
 
     def _delay(self) -> float:
@@ -93,7 +95,7 @@ class Failover:
 
     @property
     def due(self) -> float | None:
-        """When `tick` is next due, as far as known."""
+        """The time when `tick` is next due, as far as known."""
         dues = [attempt.due for attempt in self._attempts.values()]
         suspected = [at for agent, at in self._suspected.items() if agent not in self._attempts]
         return min([*dues, *suspected], default=None)
@@ -106,7 +108,7 @@ class Failover:
         return attempt.generation
 
     def on_holder(self, agent: str, generation: int, at: float) -> None:
-        """A host held a runnable start at that time, or was about to resume the agent."""
+        """Record that a host held a runnable start at the time `at`, or was about to resume the agent."""
         if agent in self._agents and not self._fences.rejects(agent, generation):
             self._last_holder[agent] = max(at, self._last_holder.get(agent, at))
             self._back_off_until.pop(agent, None)
@@ -115,7 +117,7 @@ class Failover:
             }
 
     def on_stall(self, now: float) -> None:
-        """This host was stalled: missing messages of that time are no evidence."""
+        """Record a stall of this host: messages that are missing from this period are no evidence."""
         for agent in self._agents:
             attempt = self._attempts.get(agent)
             if attempt is None or attempt.phase != "waiting":
@@ -208,7 +210,7 @@ class Failover:
     # --- answers --------------------------------------------------------------------------------------
 
     def on_located(self, host: str, answer: LeaseRecord, now: float) -> list[Effect]:
-        """A host answers what it knows of an agent."""
+        """A host answers with its record of an agent."""
         if answer.holder:
             self.on_holder(answer.agent, answer.generation, now - answer.age)
         attempt = self._attempts.get(answer.agent)
@@ -250,7 +252,8 @@ class Failover:
         self._fences.advance(agent, attempt.generation)
         reason = f"{self._members.own_name} is about to resume it"
         if self._members.is_voter:
-            # Messages to others wait until this fence is on disk: it is a promise like theirs.
+            # Messages to other hosts wait until this fence is on disk: it is a promise like those of the
+            # others.
             attempt.promised.add(self._members.own_name)
         if self._members.is_majority(attempt.promised):
             attempt.phase, attempt.due = "waiting", now + self._members.grace_period
@@ -272,13 +275,13 @@ class Failover:
         return [PromoteCheckpoint(agent, attempt.generation, line)]
 
     def _defer_to_better(self, agent: str, now: float) -> list[Effect]:
-        """Another host is better placed: suspect again after the interval."""
+        """Let a host with a better copy resume the agent: suspect again after the interval."""
         self._last_holder[agent] = now
         self._back_off_until.pop(agent, None)
         return self._end(agent)
 
     def _back_off(self, agent: str, now: float) -> list[Effect]:
-        """No majority: back off and retry."""
+        """Without a majority, back off and retry."""
         explanation = self._explain(agent, log_messages.FAILOVER_WAITING.line(agent=agent), now)
         self._back_off_until[agent] = now + self._members.lease
         return [*explanation, *self._end(agent)]

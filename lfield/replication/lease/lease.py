@@ -1,8 +1,8 @@
-"""Majority lease of one host: until when it may let coordinators act. Sans-IO.
+"""Majority lease of one host: the time until which its coordinators may act. Sans-IO.
 
-It holds while a majority of the members has acknowledged a heartbeat *sent* less than one lease ago: later
-promises of a member were not made before it received that heartbeat. Time is this host's clock, suspended
-time included. A new process holds no lease.
+The lease holds while a majority of the members has acknowledged a heartbeat *sent* less than one lease ago:
+later promises of a member were not made before the member received this heartbeat. Times are those of this
+host's clock, which includes suspended time. A new process holds no lease.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Lease:
         self._sent: deque[tuple[int, float]] = deque()
         #: The time of sending of the newest heartbeat that each other member has acknowledged.
         self._acknowledged: dict[str, float] = {}
-        #: When the lease ends, in seconds on this host's clock.
+        #: The time when the lease ends, in seconds on this host's clock.
         self.valid_until = math.inf if self._alone else -math.inf
 
     @property
@@ -39,7 +39,7 @@ class Lease:
         return self._number
 
     def on_ack(self, host: str, number: int) -> None:
-        """A member has acknowledged that heartbeat."""
+        """A member has acknowledged the heartbeat with this number."""
         sent = next((at for known, at in self._sent if known == number), None)
         if sent is None or host not in self._members.others:
             return

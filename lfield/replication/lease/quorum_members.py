@@ -14,7 +14,7 @@ HEARTBEATS_PER_LEASE = 4
 
 
 class QuorumMembers:
-    """The voting members; `here` is this host, which need not be one. `lease` is in seconds."""
+    """The voting members; `here` is this host, which need not be a member. `lease` is in seconds."""
 
     def __init__(
         self, names: Collection[str], here: str, lease: float, *, knows_promises: bool = True
@@ -23,7 +23,7 @@ class QuorumMembers:
         self.names = frozenset(names)
         self.others = sorted(self.names - {here})
         self.majority = len(self.names) // 2 + 1
-        #: Whether this host knows all promises it may have made. Until then its own vote does not count.
+        #: Whether this host knows all promises that it may have made. Its own vote counts only if it does.
         self.knows_promises = knows_promises
 
     def confirm_promises(self, *, known: bool) -> None:
@@ -52,7 +52,7 @@ class QuorumMembers:
 class FencingTokens:
     """The fencing token of each agent: no start with a lower generation may run.
 
-    Tokens only rise. `known` are those in the journal.
+    Tokens only rise. `known` are the tokens in the journal.
     """
 
     def __init__(self, known: Mapping[str, int]) -> None:
@@ -60,7 +60,7 @@ class FencingTokens:
         self._digest: int | None = None
 
     def token_of(self, agent: str) -> int:
-        """The token of an agent; 0 for none."""
+        """The token of an agent; 0 without one."""
         return self._known.get(agent, 0)
 
     def rejects(self, agent: str, generation: int) -> bool:

@@ -1,10 +1,10 @@
-"""Termination log: known terminations of coordinators, and those that must not be stored yet. Sans-IO.
+"""Termination log: known terminations of coordinators, and terminations that must not be stored yet. Sans-IO.
 
 A termination is final once a majority of the members has it on disk: every majority of promises then contains
 a member that refuses. A member that promised a recovery before it learns of the termination is in no such
-majority; if it stored the termination at once, that could become final while the recovery starts. It
-therefore informs the proposer, and waits until the recovery has started or its promise has expired
-(`PROMISE_LIFETIME`). All its answers carry the waiting terminations.
+majority; if this member stored the termination at once, it could become final while the recovery starts. The
+member therefore informs the proposer, and waits until the recovery has started or its promise has expired
+(`PROMISE_LIFETIME`). All answers of the member carry the waiting terminations.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from lfield.wire.coordinator_messages import TERMINAL, Terminated
 from lfield.wire.fields import MAX_LABEL, truncate
 from lfield.wire.quorum_messages import Promise
 
-#: A failover may start up to this many leases after its proposal. That covers a host stalled for a minute;
-#: nothing waits that long while the proposer answers.
+#: A failover may start up to this many leases after its proposal. This includes a host stalled for a minute;
+#: no termination waits that long while the proposer answers.
 PROMISE_LIFETIME = 40.0
 
 
 class PromisedFence(Struct):
-    """A recovery as start `fence` that this member has promised to `host` ('' if no longer known).
+    """A recovery as start `fence` that this member has promised to `host` ('' if this host is no longer
+    known).
 
     The recovery may start until `valid_until`, in seconds on this host's clock.
     """
@@ -52,16 +53,18 @@ class TerminationLog:
         self._restored = {agent: fences.token_of(agent) for agent in self._agents if fences.token_of(agent)}
 
     def start(self, now: float) -> None:
-        """A promise of an earlier incarnation may still be used: the journal has its fence."""
+        """Assume that the promise of each fence in the journal, made by an earlier incarnation, may still be
+        used.
+        """
         kept, self._restored = self._restored, {}
         for agent, fence in kept.items():
             if agent not in self._promised:
                 self.on_promise_given(agent, fence, "", now)
 
-    # --- what is known --------------------------------------------------------------------------------
+    # --- known terminations ---------------------------------------------------------------------------
 
     def termination_of(self, agent: str) -> Terminated | None:
-        """The newest known termination of a coordinator, on disk or not; None for none."""
+        """The newest known termination of a coordinator, on disk or not; None without one."""
         saved = self._copies.checkpoint(agent)
         kept = saved.ended if saved is not None else None
         waits = self._waiting.get(agent)
@@ -70,7 +73,7 @@ class TerminationLog:
         return kept
 
     def covering_termination(self, agent: str, generation: int) -> Terminated | None:
-        """The termination of that start or a later one, which forbids resuming from its checkpoints."""
+        """The termination of that start or a later start, which forbids a resumption from its checkpoints."""
         ended = self.termination_of(agent) if agent in self._agents else None
         return ended if ended is not None and ended.generation >= generation else None
 
@@ -92,7 +95,7 @@ class TerminationLog:
         text = "\n".join([str(self._fences.digest), *known])
         return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "big") >> 1
 
-    # --- what waits -----------------------------------------------------------------------------------
+    # --- waiting terminations -------------------------------------------------------------------------
 
     def on_promise_given(self, agent: str, fence: int, host: str, now: float) -> None:
         """This host has promised `host` to let it recover an agent as start `fence`."""
@@ -115,7 +118,7 @@ class TerminationLog:
         return True
 
     def tick(self, now: float) -> list[Effect]:
-        """Send waiting terminations to proposers, and store those that need not wait any more."""
+        """Send waiting terminations to proposers, and store terminations that need not wait any more."""
         effects: list[Effect] = []
         for agent, ended in list(self._waiting.items()):
             promised = self._promised.get(agent)
@@ -126,7 +129,9 @@ class TerminationLog:
         return effects
 
     def on_acknowledged(self, host: str, ended: Terminated) -> list[Effect]:
-        """A host has acknowledged a termination: a recovery promised to it has started or never will."""
+        """A host has acknowledged a termination: a recovery that was promised to this host has started or
+        never will.
+        """
         promised, waits = self._promised.get(ended.agent), self._waiting.get(ended.agent)
         if promised is None or promised.host != host or waits is None:
             return []

@@ -1,1 +1,1 @@
-"""What became of each coordinator, from the records of the hosts that answered. Pure."""
+"""The outcome of each coordinator, from the records of the hosts that answered. Pure."""

@@ -2,8 +2,8 @@
 
 Every host records, for each coordinator, the number of the last transfer that it knows. The numbers only grow
 along the coordinator's path, so the record with the highest number names its last location. A loss needs
-proof: that host has exited, or has restarted without the coordinator, and no other host can have it.
-Silence is no proof; the outcome is then "unheard".
+proof: the host of the last location has exited, or has restarted without the coordinator, and no other host
+can have it. Silence is no proof; the outcome is then "unheard".
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class CoordinatorOutcome:
 
 @dataclass(frozen=True, slots=True)
 class UnavailableHosts:
-    """The hosts that did not answer a cluster query, and the state of those that did.
+    """The hosts that did not answer a cluster query, and the state ids of the hosts that did.
 
     `ended`: certainly ended. `silent_for`: seconds of silence, longer than allowed. `reachable_by_others`:
-    all others, which some host can reach. `state_ids`: the journal ids of the hosts that answered.
+    all other hosts, which some host can reach. `state_ids`: the journal ids of the hosts that answered.
     `has_journals`: the state of a host survives the host.
     """
 
@@ -55,7 +55,7 @@ def resolve_outcomes(
 ) -> dict[str, CoordinatorOutcome]:
     """The coordinators that have ended, are lost or are unheard.
 
-    `homes` is the home host of each coordinator, `records` what each answering host knows. Hosts do not
+    `homes` is the home host of each coordinator, `records` the records of each answering host. Hosts do not
     answer at the same moment: see `OutcomeResolver`.
     """
     found = {}
@@ -85,10 +85,9 @@ def local_outcomes(
 class OutcomeResolver:
     """Compares two successive cluster queries, since answers from different moments can look like a loss.
 
-    A copy in transit may be recorded as sent but not yet as received. When the next query misses the same
-    transfer, its receiver was queried after it had accepted it.
-
-    It also stores the progress of each start, since the host that reported it may have ended.
+    A copy in transit may be recorded as sent but not yet as received. If the next query finds the same
+    transfer missing, its receiver cannot have accepted it after the first query. This class also stores the
+    progress of each start, since the host that reported it may have ended.
     """
 
     def __init__(self, homes: Mapping[str, str]) -> None:
@@ -118,7 +117,7 @@ class OutcomeResolver:
 
 
 def _past_state(row: CoordinatorState, host: str, state_id: int) -> CoordinatorState:
-    """What a record implies later: a copy that was alive on a host had arrived there."""
+    """The meaning of a record at a later time: a copy that was alive on a host had arrived there."""
     if row.state not in _ALIVE:
         return row
     return structs.replace(row, state="MOVED", where=host, receiver_memory=state_id)
@@ -135,7 +134,7 @@ def _is_certain(fate: CoordinatorOutcome, before: CoordinatorOutcome | None) -> 
 
 
 class _ClusterQuery:
-    """What all answering hosts know of one coordinator."""
+    """The records of all answering hosts about one coordinator."""
 
     def __init__(
         self, agent: str, records: Mapping[str, StateRecords], unavailable: UnavailableHosts
@@ -185,7 +184,7 @@ class _ClusterQuery:
         rows = [row for records in known.values() for row in records]
         for row in rows:
             if row.state == "EXITED":
-                # This start is proven lost; its home may have started it again since.
+                # This start is proven lost; its home may have started the coordinator again since then.
                 return self._lost_unless_elsewhere(row.detail)
         last = max(rows, key=lambda row: row.sequence)
         where, way = last.where, f"it moved to {last.where} (transfer {last.sequence})"
@@ -197,12 +196,12 @@ class _ClusterQuery:
         if there is None or any(row.sequence >= last.sequence for row in there):
             return None
         if self.unavailable.state_ids.get(where) == last.receiver_memory:
-            # It is in transit to that incarnation, or waits there for its devices.
+            # The start is in transit to that incarnation, or waits there for its devices.
             return None
         return self._lost_unless_elsewhere(f"{way}, which was restarted")
 
     def _lost_unless_elsewhere(self, how: str) -> CoordinatorOutcome | None:
-        """Lost, unless it moved on to a host that does not answer."""
+        """The outcome "lost", unless the coordinator may have moved on to a host that does not answer."""
         if self.unavailable.reachable_by_others:
             return None
         if self.unavailable.has_journals:

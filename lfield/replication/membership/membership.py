@@ -1,9 +1,9 @@
-"""Gossip failure detector (sans-IO): when each host of a team last gave evidence of life.
+"""Gossip failure detector (sans-IO): the time when each host of a team last gave evidence of life.
 
-Idle until a peer is missed. A host that misses a peer sends a probe (host, incarnation, counter + 10) to its
-overlay neighbours; each forwards what is new to it. A probed host emits one heartbeat per second up to that
-counter, and these spread the same way. Only a counter that grows is evidence of life. Repeated gossip
-therefore never refreshes a dead host, and no clocks are compared.
+The detector is idle until a peer is missing. A host that misses a peer sends a probe (host, incarnation,
+counter + 10) to its overlay neighbours; each neighbour forwards the data that is new to it. A probed host
+emits one heartbeat per second up to that counter, and these spread in the same way. Only a counter that grows
+is evidence of life. Repeated gossip therefore never refreshes a dead host, and no clocks are compared.
 """
 
 from __future__ import annotations
@@ -15,31 +15,33 @@ from lfield.replication.locate.outcomes import UnavailableHosts
 from lfield.replication.membership.overlay import Overlay
 from lfield.wire.messages import GossipUpdate, LivenessCounter
 
-#: Seconds between two heartbeats of a probed host, and at least between two gossip messages.
+#: Seconds between two heartbeats of a probed host, and minimum seconds between two gossip messages.
 HEARTBEAT_EVERY, GOSSIP_EVERY = 1.0, 0.1
-#: A shorter silence is no evidence of failure: probe and heartbeat may each be in transit that long.
+#: A shorter silence is no evidence of failure: probe and heartbeat may each be in transit for this time.
 SUSPICION_TIMEOUT = 3.0
 #: Heartbeats requested by one probe. When half of them have arrived, the next probe is sent.
 HEARTBEAT_CREDIT = 10
-#: Incarnations tracked per host. The counter of an older one may count as new once more.
+#: Incarnations tracked per host. The counter of an older incarnation may count as new once more.
 MAX_INCARNATIONS = 64
-#: Maximum number of heartbeats, and of probes, in one message. The rest follow in the next.
+#: Maximum number of heartbeats, and of probes, in one message. The rest follows in the next message.
 MAX_COUNTERS = 64
 
 
 class LinkContacts(Protocol):
-    """What the transport measures of the links of this host; times are in seconds of its monotonic clock."""
+    """The measurements of the transport about the links of this host; times are in seconds of its monotonic
+    clock.
+    """
 
     @property
     def down_since(self) -> Mapping[str, float]:
-        """Since when each host without a link has had none."""
+        """The time since when each host has had no link, for hosts without a link."""
 
     def last_contact_at(self, host: str) -> float | None:
-        """When something last came from a host; None for never."""
+        """The time of the last message from a host; None before the first."""
 
 
 class HighestCounters:
-    """The highest counter of each incarnation of each host, and the last one that was new."""
+    """The highest counter of each incarnation of each host, and the last counter that was new."""
 
     def __init__(self) -> None:
         self._counts: dict[int, dict[int, int]] = {}
@@ -64,9 +66,9 @@ class HighestCounters:
 class Membership:
     """Liveness of the other hosts, for all parts of one host. Times are in seconds of its monotonic clock.
 
-    `hosts` are those of the deployment, with their `numbers`. `here` is this host's number, `incarnation` its
-    incarnation, `now` the start time. `neighbours` are the overlay links, which carry the gossip; `contacts`
-    are the links as the transport measures them.
+    `hosts` are the hosts of the deployment, with their `numbers`. `here` is this host's number, `incarnation`
+    its incarnation, `now` the start time. `neighbours` are the overlay links, which carry the gossip;
+    `contacts` are the links as the transport measures them.
     """
 
     def __init__(
@@ -94,7 +96,7 @@ class Membership:
         self._gossipers: set[str] = set()
         #: Probes whose heartbeats have not arrived yet.
         self._owed_counters: dict[str, LivenessCounter] = {}
-        #: When each host last gave evidence of life, and when it was first missed.
+        #: The time when each host last gave evidence of life, and when it was first missed.
         self._last_evidence: dict[str, float] = {}
         self._since = dict.fromkeys(neighbours.neighbours, now)
         #: Hosts with an open link.
@@ -103,12 +105,12 @@ class Membership:
         #: Hosts that have certainly ended, and hosts with more than one known incarnation.
         self.ended: set[str] = set()
         self.restarted: set[str] = set()
-        #: The last linked incarnation of each host, and the first one known.
+        #: The last linked incarnation of each host, and the first known one.
         self._incarnations: dict[str, int] = {}
         self._first_incarnations: dict[str, int] = {}
         #: Hosts that did not answer the last cluster query.
         self.suspected: set[str] = set()
-        #: When `next_gossip` is due; None if it has no recipients.
+        #: The time when `next_gossip` is due; None if it has no recipients.
         self.due: float | None = now if len(hosts) > 2 else None
 
     @property
@@ -128,19 +130,19 @@ class Membership:
 
     @property
     def down_since(self) -> Mapping[str, float]:
-        """Since when each host without a link has had none."""
+        """The time since when each host has had no link, for hosts without a link."""
         return self._contacts.down_since
 
     def last_contact(self, host: str) -> float | None:
-        """When something last came from a host itself; None for never.
+        """The time of the last message from a host itself; None before the first.
 
-        Heartbeats that other hosts pass on do not count: they show that the host is alive, and not that a
-        message would reach it.
+        Heartbeats that other hosts pass on do not count: they show that the host is alive, but not that a
+        message can reach it.
         """
         return self._contacts.last_contact_at(host)
 
     def missing_for(self, host: str, now: float) -> float:
-        """Seconds without a link to a host that is needed; 0 with a link, or for one that is not needed."""
+        """Seconds without a link to a needed host; 0 with a link, or for a host that is not needed."""
         since = self.down_since.get(host)
         return 0.0 if since is None or host in self.linked else max(0.0, now - since)
 
@@ -170,8 +172,9 @@ class Membership:
         self._run_now(now)
 
     def _gossip_restart(self, host: str, before: int) -> None:
-        """Probe the earlier incarnation, so that all hosts learn of it; the later one answers with a
-        heartbeat."""
+        """Probe the earlier incarnation, so that all hosts learn of it; the later incarnation answers with a
+        heartbeat.
+        """
         number = self._numbers[host]
         self._forward_probe(LivenessCounter(number, before, self._counters.count_of(number, before) + 1))
 
@@ -293,7 +296,9 @@ class Membership:
         return True
 
     def _missing(self, now: float) -> list[str]:
-        """Neighbours without a link (at first only those that had one), and all hosts that did not answer."""
+        """Neighbours without a link (at first only neighbours that had one), and all hosts that did not
+        answer.
+        """
         young = now - self._started_at < SUSPICION_TIMEOUT
         near = {host for host in self.neighbours if host in self._incarnations or not young}
         return sorted((near | self.suspected) - self.linked - self.ended, key=self._numbers.__getitem__)

@@ -31,7 +31,7 @@ class Overlay:
         self._hosts, self._here = hosts, here
         self._steps = [] if is_full_mesh else [(d, way) for d in distances(len(hosts)) for way in (1, -1)]
         others = range(len(hosts)) if is_full_mesh else [self._host_at(d, way) for d, way in self._steps]
-        #: Hosts that have this one as a neighbour.
+        #: Hosts that have this host as a neighbour.
         self.neighbours = frozenset(hosts[number] for number in others if number != here)
         #: The substitutes that are connected or being connected, as of the last call.
         self.chosen: frozenset[str] = self.neighbours
@@ -48,7 +48,7 @@ class Overlay:
         self._linked.discard(host)
 
     def links(self, now: float) -> frozenset[str]:
-        """The neighbours, and a substitute for each that does not answer."""
+        """The neighbours, and a substitute for each neighbour that does not answer."""
         found = set(self.neighbours)
         since: dict[str, float] = {}
         if not self.neighbours <= self._linked:
@@ -64,7 +64,7 @@ class Overlay:
         return self.chosen
 
     def _ring_from(self, distance: int, way: int) -> Iterator[str]:
-        """The hosts from that distance on, once around the ring."""
+        """The hosts from this distance on, once around the ring."""
         for step in range(len(self._hosts) - 1):
             number = self._host_at(distance + step, way)
             if number != self._here:

@@ -18,13 +18,14 @@ if TYPE_CHECKING:
 
     from lfield.wire.framing import Buffer
 
-#: ABSENT: there was never a copy here, only a refused transfer. The others are those of `messages.CopyState`.
+#: The states of a copy. ABSENT: there was never a copy here, only a refused transfer. The other states are
+#: those of `messages.CopyState`.
 CopyPhase = Literal["ABSENT", "RUN", "FROZEN", "PREPARED", "MOVED", "EXITED"]
 
 #: States of a copy here that runs or may have to run again.
 LIVE_STATES: tuple[CopyPhase, ...] = ("RUN", "FROZEN", "PREPARED")
 
-#: Why a copy with an unreadable block cannot be resumed.
+#: The reason why a copy with an unreadable block cannot be resumed.
 UNREADABLE = "its stored copy here cannot be read"
 
 #: The most starts of one coordinator that a host records; the first ended one is dropped for a new one.
@@ -37,9 +38,9 @@ class CoordinatorCopy(Struct, eq=False):
     `sequence` is the highest transfer number that this start used or tried here. `refusal` is set when that
     transfer came from another host and was refused. `target`, `receiver_memory` (the id of the target's
     journal or process), `deadline` (seconds) and `make_block` belong to the departure under way. `block` is
-    the block last sent or stored: the shadow, once the copy is MOVED. `doubt_reason` is why the fate of the
-    copy is unknown. `is_restored`: it comes from the journal and has not continued yet. `is_unreadable`: the
-    machine has refused the block.
+    the block last sent or stored: the shadow, once the copy is MOVED. `doubt_reason` is the reason why the
+    state of the copy is unknown. `is_restored`: the copy is from the journal and has not continued yet.
+    `is_unreadable`: the machine has refused the block.
     """
 
     agent: str
@@ -67,7 +68,7 @@ class CoordinatorCopy(Struct, eq=False):
 
     @property
     def is_here(self) -> bool:
-        """Whether it is alive and not in transit: it runs, or waits to be sent."""
+        """Whether the copy is alive and not in transit: it runs, or waits to be sent."""
         return self.is_alive and self.state in ("RUN", "FROZEN")
 
     def mark_running(self, sequence: int, hops: int, block: Buffer | None = None) -> None:
@@ -95,11 +96,11 @@ class CoordinatorCopy(Struct, eq=False):
         self.state = "FROZEN"
 
     def move(self) -> None:
-        """PREPARED to MOVED: the coordinator lives elsewhere, and the block stays as its shadow."""
+        """PREPARED to MOVED: the coordinator is on another host, and the block is kept as its shadow."""
         self.state, self.make_block, self.doubt_reason, self.is_restored = "MOVED", None, "", False
 
     def resume(self, *, is_stored: bool) -> None:
-        """FROZEN or PREPARED to RUN: it continues here; `is_stored` keeps the block."""
+        """FROZEN or PREPARED to RUN: the copy continues here; `is_stored` keeps the block."""
         self.state, self.make_block = "RUN", None
         if not is_stored:
             self.block = None
@@ -118,11 +119,11 @@ class CoordinatorCopy(Struct, eq=False):
         self.deadline = deadline
 
     def doubt(self, reason: str) -> None:
-        """The fate of this copy is not known."""
+        """Record that the state of this copy is not known."""
         self.doubt_reason = reason
 
     def clear_doubt(self) -> None:
-        """The fate of this copy is known."""
+        """Record that the state of this copy is known."""
         self.doubt_reason = ""
 
     def mark_unreadable(self) -> None:
@@ -137,7 +138,7 @@ class CoordinatorCopy(Struct, eq=False):
             self.mark_unreadable()
 
     def mark_continued(self) -> None:
-        """It has continued since it was restored."""
+        """Record that the copy has continued since it was restored."""
         self.is_restored = False
 
     def mark_ended(self, outcome: Outcome, detail: str, host: str) -> None:
@@ -147,23 +148,23 @@ class CoordinatorCopy(Struct, eq=False):
         self.doubt_reason, self.is_restored, self.is_unreadable = "", False, False
 
     def displace(self) -> None:
-        """Leave the machine in doubt, to make room for another start. The block stays as a shadow."""
+        """Leave the machine in doubt, to make room for another start. The block is kept as a shadow."""
         self.state, self.make_block, self.is_restored = "MOVED", None, False
         self.doubt_reason = f"{self.doubt_reason}; its copy here was displaced by a later start"
 
     @property
     def is_displaced(self) -> bool:
-        """Whether this copy was in doubt when it was displaced from the machine, and still is."""
+        """Whether this copy was in doubt when it was displaced from the machine, and still is in doubt."""
         return self.state == "MOVED" and bool(self.doubt_reason)
 
     @property
     def is_unanswered(self) -> bool:
-        """Whether it was sent, and the verdict is unknown."""
+        """Whether the copy was sent, and the verdict is unknown."""
         return self.state == "PREPARED" or self.is_displaced
 
     @property
     def awaits_answer(self) -> bool:
-        """`is_unanswered`, and in the machine: a restored copy is not, before it is loaded."""
+        """`is_unanswered`, and in the machine: a restored copy is not in the machine before it is loaded."""
         return self.is_unanswered and not (self.is_restored and self.make_block is None)
 
     def state_message(self) -> CoordinatorState:
@@ -226,7 +227,7 @@ class CoordinatorCopy(Struct, eq=False):
 
 
 class CopyTable:
-    """All copies of one host, of the coordinators of its deployment and those parked here.
+    """All copies of one host: of the coordinators of its deployment, and of parked ones.
 
     `mission` is the hash of their mission (`Hello.mission_hash`), b"" on a host without a journal.
     """
@@ -246,7 +247,7 @@ class CopyTable:
     def persist(self, copy: CoordinatorCopy, *, is_lazy: bool = False) -> list[Effect]:
         """Write the record of a copy before later effects.
 
-        Nothing waits for a lazy write: its contents can be requested again from other hosts.
+        No effect waits for a lazy write: its contents can be requested again from other hosts.
         """
         if not (self.has_journal or self.parked):
             return []
@@ -287,7 +288,7 @@ class CopyTable:
         """`find`, with a new entry for a new start; None for an unknown agent, or if too many starts are
         alive."""
         if self.parked and (agent, generation) in self.parked:
-            # It may not be a coordinator of this deployment: its termination is recorded all the same.
+            # The agent may not be a coordinator of this deployment: its termination is recorded nevertheless.
             self._starts.setdefault(agent, {})
         starts = self._starts.get(agent)
         if starts is None:

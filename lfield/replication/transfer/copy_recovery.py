@@ -28,8 +28,8 @@ class CopyRecovery:
         self._host, self._copies, self._termination = host, copies, endings
 
     def newest_copy(self, agent: str) -> CoordinatorCopy | None:
-        """The newest shadow, or a stored copy that has not continued or may not; None if there is none, or if
-        the coordinator runs here.
+        """The newest shadow, or a stored copy that has not continued or may not continue; None if there is
+        none, or if the coordinator runs here.
         """
         copies = self._copies.starts_of(agent)
         runs = any(copy.is_here and not copy.is_restored for copy in copies)
@@ -40,7 +40,7 @@ class CopyRecovery:
     ) -> list[Effect]:
         """See `Mobility.recover`.
 
-        Raises ValueError when there is no copy here, or the number is known.
+        Raises ValueError if there is no copy here, or if the number is known.
         """
         left = self.newest_copy(agent)
         if left is None or self._copies.find(agent, generation) is not None:
@@ -52,7 +52,7 @@ class CopyRecovery:
         copy = self._copies.find_or_create(agent, generation)
         assert copy is not None
         copy.mark_running(0, left.hops, found.block)
-        # Nothing is sent, and nothing starts, before the record of the new start is on disk.
+        # No message is sent, and no copy starts, before the record of the new start is on disk.
         effects = self._copies.persist(copy) + self._termination.terminate_outranked(copy)
         if found.block is None:
             return [*effects, CoordinatorStarted(agent, generation)]
@@ -65,7 +65,7 @@ class CopyRecovery:
 def stop_below(copies: Collection[CoordinatorCopy], generation: int, reason: str) -> list[Effect]:
     """Stop every copy here of a start before `generation`.
 
-    They have not terminated: a later start may resume from the stored block, as from a shadow.
+    The stopped copies have not terminated: a later start may resume from the stored block, as from a shadow.
     """
     effects: list[Effect] = []
     for copy in copies:
@@ -83,7 +83,7 @@ def newest_resumable(copies: Collection[CoordinatorCopy]) -> CoordinatorCopy | N
 
 
 def termination(copies: Collection[CoordinatorCopy]) -> CoordinatorCopy | None:
-    """The newest terminated start; None if there is none, or if a later one is here."""
+    """The newest terminated start; None if there is none, or if a later start is here."""
     if newest_resumable(copies) is not None:
         return None
     ended = (copy for copy in copies if copy.outcome in TERMINAL)

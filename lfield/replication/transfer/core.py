@@ -95,9 +95,8 @@ class Mobility:
         raise ValueError(f"{agent} does not run here")
 
     def restore(self, records: Iterable[CoordinatorRecord], parked: Iterable[CoordinatorRecord] = ()) -> None:
-        """Load the journal records of the coordinators. `resume_restored` continues those that can run here.
-
-        `parked` are records of another mission: they are reported, and their numbers are not reused.
+        """Load the journal records of the coordinators. `resume_restored` continues the copies that can run
+        here. `parked` are records of another mission: they are reported, and their numbers are not reused.
         """
         self._copies.park(parked)
         for page in records:
@@ -107,9 +106,8 @@ class Mobility:
                 self._termination.on_restored(copy)
 
     def resume_restored(self, put: RestoreHook, now: float) -> list[Effect]:
-        """Continue the restored copies: `put(copy, runs=...)` loads one into the machine.
-
-        There it is frozen at its portal call, or continues if it `runs`. `put` returns the `seal` for its
+        """Continue the restored copies: `put(copy, runs=...)` loads a copy into the machine. There the copy
+        is frozen at its portal call, or continues if `runs` is true. `put` returns the `seal` for its
         departure, or None if the block is unreadable.
         """
         effects: list[Effect] = []
@@ -128,8 +126,8 @@ class Mobility:
     def depart(self, agent: str, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
         """Start a hop: send the running copy of `agent`, frozen by the caller, to `host`.
 
-        `seal(sequence)` writes the number into the block's header and returns the block. It is called once
-        for each transmission, immediately if there is a link. The bytes must then stay unchanged until
+        `seal(sequence)` writes the number into the block's header and returns the block. `seal` is called
+        once for each transmission, immediately if there is a link. The bytes must then stay unchanged until
         Resume, Departed, Supersede or Finished.
         """
         for copy in self._copies.starts_of(agent):
@@ -141,13 +139,14 @@ class Mobility:
     def cancel_departure(self, agent: str, generation: int) -> bool:
         """Cancel the departure of a coordinator.
 
-        True: nothing was sent, and it runs here again. False: it is not departing, or may have left.
+        True: nothing was sent, and the coordinator runs here again. False: it is not departing, or may have
+        left.
         """
         copy = self._copies.find(agent, generation)
         return copy is not None and self._sender.cancel(copy)
 
     def on_ended(self, agent: str, generation: int, outcome: Outcome, detail: str = "") -> list[Effect]:
-        """A copy held here has ended: notify every host. 'lost': an operator gives up a copy in doubt."""
+        """A copy here has ended: notify every host. 'lost': an operator declares a copy in doubt lost."""
         copy = self._copies.find(agent, generation)
         if copy is None or not (copy.doubt_reason if outcome == "lost" else copy.state in ("RUN", "FROZEN")):
             raise ValueError(f"{agent} of generation {generation} cannot end here as {outcome!r}")
@@ -168,7 +167,7 @@ class Mobility:
         return [effect.generation for effect in effects if isinstance(effect, DropTerminated)], effects
 
     def set_delay_rule(self, is_delayed: Callable[[Terminated], bool]) -> None:
-        """Set which remote terminations are neither stored nor confirmed until `terminated`."""
+        """Set the rule for remote terminations that are neither stored nor confirmed until `terminated`."""
         self._termination.set_delay_rule(is_delayed)
 
     def terminated(self, ended: Terminated) -> list[Effect]:
@@ -176,7 +175,7 @@ class Mobility:
         return self._termination.on_delay_over(ended)
 
     def termination(self, agent: str) -> CoordinatorCopy | None:
-        """Its newest terminated start; None if a later one is here."""
+        """The newest terminated start of an agent; None if a later start is here."""
         return termination(self._copies.starts_of(agent))
 
     def unconfirmed_by(self, agent: str, generation: int) -> Collection[str]:
@@ -188,11 +187,11 @@ class Mobility:
         return stop_below(self._copies.starts_of(agent), generation, reason)
 
     def newest_copy(self, agent: str) -> CoordinatorCopy | None:
-        """The copy from which it could resume here, or the coordinator itself; None for neither."""
+        """The copy from which an agent could resume here, or the coordinator itself; None without either."""
         return newest_resumable(self._copies.starts_of(agent))
 
     def recoverable_state(self, agent: str) -> CoordinatorState | None:
-        """The state for recovering a coordinator here if its holder were lost; None if it runs here."""
+        """The state for a recovery here if the coordinator's holder were lost; None if it runs here."""
         copy = self._recovery.newest_copy(agent)
         return None if copy is None else copy.state_message()
 
@@ -201,8 +200,8 @@ class Mobility:
     ) -> list[Effect]:
         """Resume a coordinator whose holder is lost as the new start `generation`.
 
-        The number must be one for recoveries above all known ones, and `recoverable_state` must not be None.
-        `put(copy)` loads its block into the machine, frozen; None if it is unreadable (recorded).
+        The number must be a recovery number above all known ones, and `recoverable_state` must not be None.
+        `put(copy)` loads the block into the machine, frozen; None if it is unreadable (recorded).
         """
         return self._recovery.recover(agent, generation, put)
 
@@ -228,9 +227,8 @@ class Mobility:
         return effects
 
     def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> list[Effect]:
-        """This host is about to shut down: send all known terminations to every reachable host.
-
-        Of losses, only those proven now (`found`).
+        """Send all known terminations to every reachable host, because this host is about to shut down. Of
+        the losses, only those proven now (`found`) are sent.
         """
         effects: list[Effect] = []
         for fate in found:
@@ -239,15 +237,15 @@ class Mobility:
         return effects + self._termination.broadcast_all()
 
     def proven_losses(self, since: float) -> set[str]:
-        """The coordinators that a host shutting down has reported as lost, with proof, since then."""
+        """The coordinators that a host shutting down has reported as lost, with proof, since this time."""
         return self._termination.proven_losses(since)
 
     def on_backpressure(self, host: str, trouble: str) -> list[Effect]:
-        """A host reports why it cannot store arriving coordinators, or '' when it can again."""
+        """A host reports why it cannot store arriving coordinators, or '' when it can store them again."""
         return self._sender.on_backpressure(host, trouble)
 
     def needs_probe(self, host: str) -> bool:
-        """Whether a linked host must answer a probe first: nothing is sent to it before `on_probe_answer`."""
+        """Whether a linked host must answer a probe first: none is sent to it before `on_probe_answer`."""
         return self._sender.needs_probe(host)
 
     def on_probe_answer(self, host: str) -> list[Effect]:
@@ -255,11 +253,11 @@ class Mobility:
         return self._sender.on_probe_answer(host)
 
     def pending_queries(self) -> list[tuple[Send, bool]]:
-        """The queries to relay for lack of a link; and whether each is about a copy in doubt."""
+        """The queries to relay because there is no link, each with whether it is about a copy in doubt."""
         return self._sender.pending_queries()
 
     def prove_outcome(self, query: TransferQuery) -> TransferAccepted | TransferRefused | None:
-        """What this host can prove about a transfer that was sent to another one."""
+        """The proof of this host about a transfer that was sent to another host."""
         return self._receiver.prove_outcome(query)
 
     def on_unlinked(self, host: str) -> None:
@@ -268,7 +266,7 @@ class Mobility:
         self._sender.on_unlinked(host)
 
     def on_transfer(self, host: str, header: Transfer, block: Buffer, inject: InjectHook) -> list[Effect]:
-        """A coordinator has arrived from `host`; it is injected before this returns, or refused."""
+        """A coordinator has arrived from `host`; it is injected or refused before the return."""
         return self._receiver.on_transfer(host, header, block, inject)
 
     def on_oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
@@ -290,7 +288,7 @@ class Mobility:
                 return self._termination.on_ack(host, message)
 
     def tick(self, now: float) -> list[Effect]:
-        """Time has passed: end what has waited too long."""
+        """End the waits that have exceeded their time limits."""
         effects: list[Effect] = []
         for copy in self._copies:
             if now >= copy.deadline:
@@ -302,7 +300,7 @@ class Mobility:
         self._sender.postpone(now)
 
     def next_deadline(self) -> float | None:
-        """When `tick` is due next, or None."""
+        """The time when `tick` is due next, or None."""
         waiting = (self._sender.due(c) for c in self._copies if c.is_alive and c.state != "RUN")
         return min(waiting, default=None)
 
@@ -314,9 +312,9 @@ class Mobility:
         return [copy.state_message() for copy in self._copies if copy.state != "ABSENT"]
 
     def handshake_states(self, waiting: Iterable[Transfer] = ()) -> list[CoordinatorState]:
-        """The same with parked coordinators, whose home may be another host now.
+        """As `known_states`, with parked coordinators, whose home may be another host now.
 
-        Includes arrivals that are `waiting` to be admitted: no other host may know of them.
+        Includes arrivals that are `waiting` to be admitted: possibly no other host knows of them.
         """
         parked = self._copies.parked_states()
         arriving = [self._receiver.arriving_state(header) for header in waiting]
@@ -343,7 +341,7 @@ class Mobility:
         return copy is not None and copy.state in ("FROZEN", "PREPARED")
 
     def is_in_doubt(self, agent: str, generation: int) -> bool:
-        """Whether the fate of a copy that was sent from here is unknown."""
+        """Whether the state of a copy that was sent from here is unknown."""
         copy = self._copies.find(agent, generation)
         return copy is not None and bool(copy.doubt_reason)
 
@@ -353,7 +351,7 @@ class Mobility:
         return copy is not None and copy.state in ("PREPARED", "MOVED", "EXITED")
 
     def end_reason(self, agent: str, generation: int) -> str:
-        """Why a start may not continue, as far as is known here; '' if it may."""
+        """The reason why a start may not continue, as far as is known here; '' if it may."""
         copy = self._copies.find(agent, generation)
         if copy is None or copy.state != "EXITED":
             return ""
@@ -364,7 +362,9 @@ class Mobility:
         return self._termination.has_unconfirmed(hosts)
 
     def announce_end(self, agent: str) -> list[Effect]:
-        """The home of a coordinator does not start it again: its last end is that of this run."""
+        """The home of a coordinator does not start it again: announce that its last end is that of
+        this run.
+        """
         return self._termination.announce_end(agent)
 
     @property
@@ -373,7 +373,7 @@ class Mobility:
         return self._termination.ended_in_this_run
 
     def needed_hosts(self) -> set[str]:
-        """The hosts that a copy waits for (for a link or an answer), and those with missing confirmations."""
+        """The hosts that a copy waits for (a link or an answer), and hosts with missing confirmations."""
         waiting = (copy for copy in self._copies if copy.state in ("FROZEN", "PREPARED") or copy.is_displaced)
         return {copy.target for copy in waiting} | self._termination.unconfirmed_hosts
 
@@ -393,7 +393,7 @@ class Mobility:
         effects = self._sender.on_state(host, state_id, known)
         effects += self._termination.fence(known.agent, known.generation, host)
         here = self._copies.find(known.agent, known.generation)
-        # A host that was down when this start ended still has its copy; its home may have made another start.
+        # A host that was down when this start ended still has the copy; the home may have made another start.
         is_outdated = here is not None and here.outcome in TERMINATED
         if known.state in LIVE_STATES and not is_outdated:
             effects += self._termination.compare_starts(host, known)

@@ -1,8 +1,8 @@
 """Effects of `Mobility` (hops and terminations), which the host executes in order.
 
-They are msgspec structs rather than dataclasses because several are made on every hop, and a frozen
-dataclass is several times slower. Every effect on a copy names its start (agent, generation): a host that
-holds another start of that agent by then ignores it.
+They are msgspec structs rather than dataclasses because several are made on every hop, and a frozen dataclass
+is several times slower. Every effect on a copy names its start (agent, generation): a host that holds another
+start of the agent at that time ignores the effect.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from lfield.wire.messages import Control
 
 
 class Send(Struct, frozen=True):
-    """Send a message to a host; drop it without a link, it will be requested again."""
+    """Send a message to a host; without a link the message is dropped, since it will be requested again."""
 
     host: str
     message: Control
 
 
 class SendTransfer(Struct, frozen=True):
-    """A hop: send a block to a host. Without a link, drop it and report `unlinked`."""
+    """A hop: send a block to a host. Without a link the block is dropped, and `unlinked` is reported."""
 
     host: str
     header: Transfer
@@ -33,7 +33,7 @@ class SendTransfer(Struct, frozen=True):
 class PersistRecord(Struct, frozen=True):
     """Write a record to disk before later effects on that agent; only with a journal.
 
-    `is_lazy`: it may be written together with the next record that is needed.
+    `is_lazy`: the record may be written together with the next record that is needed.
     """
 
     agent: str
@@ -49,16 +49,16 @@ class CoordinatorStarted(Struct, frozen=True):
 
 
 class ResumeCopy(Struct, frozen=True):
-    """Continue the copy held here: it has arrived, or is stored at a portal call of this host."""
+    """Continue the copy on this host, which has arrived or is stored at a portal call of this host."""
 
     agent: str
     generation: int
 
 
 class MarkMigrated(Struct, frozen=True):
-    """The coordinator lives on another host now; the block here is its shadow.
+    """The coordinator is on another host now; the block here is its shadow.
 
-    The answer that reported this was delayed by `held` seconds.
+    The answer that reported the arrival was delayed by `held` seconds.
     """
 
     agent: str
@@ -72,7 +72,7 @@ class ResumeWithException(Struct, frozen=True):
     """Thaw the copy and throw the L exception `kind` with `reason` at its portal call.
 
     `sequence` is the highest transfer number used so far, to be written into the block's header. `recovered`:
-    this is a new start, and the actions of an earlier one after this call are unknown.
+    this is a new start, and the actions of an earlier start after this call are unknown.
     """
 
     agent: str
@@ -84,7 +84,9 @@ class ResumeWithException(Struct, frozen=True):
 
 
 class MarkInDoubt(Struct, frozen=True):
-    """It is unknown whether `host` has received the copy; it stays frozen here. `reason` is for the log."""
+    """Record that it is unknown whether `host` has received the copy, which stays frozen here. `reason` is
+    for the log.
+    """
 
     agent: str
     generation: int
@@ -94,7 +96,9 @@ class MarkInDoubt(Struct, frozen=True):
 
 
 class TerminateCopy(Struct, frozen=True):
-    """End the copy held here, running or frozen, if present: another start of the coordinator continues."""
+    """End the copy on this host, running or frozen, if there is one: another start of the coordinator
+    continues.
+    """
 
     agent: str
     generation: int
@@ -134,7 +138,7 @@ Effect = (
 
 
 class TransferRefusal(Struct, frozen=True):
-    """Why a coordinator was refused: an L exception's name and a sentence."""
+    """The reason why a coordinator was refused: an L exception's name and a sentence."""
 
     kind: str
     reason: str

@@ -1,9 +1,9 @@
 """Epoch numbers (fencing tokens) of the starts of a coordinator: allocation and order. Sans-IO.
 
-A home host counts its starts 1, 2, 3 ... A recovery needs a number above all known ones that no other host
-allocates: the next multiple of `GENERATION_STRIDE` plus the number of its host. A home that knows of a
-recovery continues with multiples of `GENERATION_STRIDE`. The number shows whether a start is a recovery
-(decision 27).
+A home host counts its starts 1, 2, 3 ... A recovery needs a number that is above all known numbers and that
+no other host allocates: the next multiple of `GENERATION_STRIDE` plus the number of its host. A home that
+knows of a recovery continues with multiples of `GENERATION_STRIDE`. The number shows whether a start is a
+recovery (decision 27).
 
     1, 2, 3     starts by the home
     65537       recovered by the first host of the deployment, after any of these
@@ -12,7 +12,8 @@ recovery continues with multiples of `GENERATION_STRIDE`. The number shows wheth
 
 from __future__ import annotations
 
-#: Leaves numbers for recoveries by every host between two starts of a home; teams are far smaller.
+#: The distance between two starts of a home, which leaves numbers for recoveries by every host; teams are far
+#: smaller.
 GENERATION_STRIDE = 1 << 16
 
 
@@ -34,7 +35,7 @@ def is_recovery(generation: int) -> bool:
 def outranks(one: int, other: int) -> bool:
     """Whether start `one` continues when both may be alive.
 
-    The newest recovery wins; without one, the earliest start, which has done work.
+    The newest recovery wins; without a recovery, the earliest start, which has done work.
     """
     if is_recovery(one) != is_recovery(other):
         return is_recovery(one)
@@ -42,9 +43,9 @@ def outranks(one: int, other: int) -> bool:
 
 
 def blocks(one: int, other: int, *, alive: bool) -> bool:
-    """Whether a start, given whether it is `alive`, prevents another one from running.
+    """Whether a start, given whether it is `alive`, prevents another start from running.
 
-    A recovery supersedes everything before it, whether or not the recovery succeeded.
+    A recovery supersedes all earlier starts, whether or not the recovery succeeded.
     """
     return (alive and outranks(one, other)) or (is_recovery(one) and one > other)
 

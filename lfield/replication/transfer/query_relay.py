@@ -2,8 +2,8 @@
 
 The receiver decides the outcome of a transfer whose link broke. Other hosts that connect the two relay the
 sender's query and the receiver's answer. Each message crosses each link once; lost messages are repeated by
-the sender. Every host on the way that has proof of the outcome answers as well, so of two connected hosts the
-one with the older copy is never in doubt when the other is not.
+the sender. Every host on the path that has proof of the outcome also answers. So if two hosts are connected,
+the host with the older copy is in doubt only if the other one is.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from lfield.replication.transfer.effects import Effect, Send
 from lfield.wire.coordinator_messages import TransferAccepted, TransferQuery, TransferRefused
 from lfield.wire.messages import LivenessCounter, RelayedMessage
 
-#: Seconds between two queries about a transfer, and about one in doubt, which may last for days.
+#: Seconds between two queries about a transfer, and about a transfer in doubt, which may stay in doubt for
+#: days.
 ASK_EVERY, ASK_IN_DOUBT_EVERY = 1.0, 3.0
 #: Maximum number of messages of one sender that are relayed per second.
 MAX_PER_SECOND = 64
-#: Maximum number of relayed queries that wait for the disk. Answers to further ones need a direct link.
+#: Maximum number of relayed queries that wait for the disk. Answers to further queries need a direct link.
 MAX_PENDING = 256
 
 TransferAnswer = TransferAccepted | TransferRefused
@@ -31,13 +32,13 @@ E = TypeVar("E")
 
 
 class QueryRelay(Generic[E]):
-    """The relay of host `here`, for its own messages and those of others.
+    """The relay of host `here`, for its own messages and messages of other hosts.
 
     `incarnation` is that of the host; effects are passed to `out`. `membership` knows the links; `mobility`
     processes messages for this host.
     """
 
-    #: No handlers of its own: `Coordinators` calls it.
+    #: The relay has no handlers of its own: `Coordinators` calls it.
     handles: ClassVar[dict[Any, Any]] = {}
     observes: ClassVar[dict[Any, Any]] = {}
     is_polled = False
@@ -54,14 +55,14 @@ class QueryRelay(Generic[E]):
     ) -> None:
         self._hosts, self._here, self._incarnation = hosts, here, incarnation
         self._clock, self._out, self._membership, self._mobility = clock, out, membership, mobility
-        #: When `on_tick` is due, in seconds; None while no transfer from here awaits an answer.
+        #: The time when `on_tick` is due, in seconds; None while no transfer from here awaits an answer.
         self.due: float | None = None
         self._count = 0
         self._handled = HighestCounters()
         #: Start of the current second, and the messages of each sender relayed since.
         self._rates: dict[int, tuple[float, int]] = {}
         #: Queries that were relayed to this host: a link to their senders may seem open here although it is
-        #: not.
+        #: lost.
         self._pending: dict[tuple[str, str, int, int], None] = {}
 
     def arm(self) -> None:

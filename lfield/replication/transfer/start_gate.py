@@ -1,11 +1,11 @@
-"""Start gate: when a host may start its coordinators, and with which generation. Sans-IO.
+"""Start gate: the time when a host may start its coordinators, and their generation. Sans-IO.
 
-Generations order the starts of a coordinator, so they must grow independently of clocks and disks. The
-next one is a counter (`generations`) above every number that this host has recorded and any other host
+Generations order the starts of a coordinator, so they must grow independently of clocks and disks. The next
+generation is a counter (`generations`) above every number that this host has recorded and that any other host
 knows. One counter serves all coordinators of a host, since they are started together.
 
-A host without a record may have started them before, with another disk. It therefore waits until every other
-host has reported its records, or an operator asserts that there was no earlier start.
+A host without a record may have started its coordinators before, with another disk. It therefore waits until
+every other host has reported its records, or an operator asserts that there was no earlier start.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class StartGate:
         self._last_line = ""
 
     def on_states(self, host: str, known: Iterable[CoordinatorState] = ()) -> None:
-        """A host has reported its records; or it has ended permanently, and has none."""
+        """A host has reported its records; or the host has ended permanently, and has no records."""
         self._states_of[host] = list(known)
         self._unanswered.discard(host)
         self.on_generations(self._states_of[host])
@@ -49,7 +49,7 @@ class StartGate:
         self._newest = max(self._newest, *(k.generation for k in known if k.agent in self.agents), 0)
 
     def require_above(self, generation: int) -> None:
-        """Require a number above this one."""
+        """Require a generation above this one."""
         self._newest = max(self._newest, generation)
 
     def exclude(self, hosts: Iterable[str]) -> None:
@@ -59,19 +59,19 @@ class StartGate:
     def open(self, record: int | None, *, first: bool) -> None:
         """The other hosts had time to answer. `record` is the last recorded start here, None without one.
 
-        `first`: an operator asserts that there was none.
+        `first`: an operator asserts that there was no earlier start.
         """
         self._record = 0 if record is None and first else record
         self._waiting = bool(self.agents)
 
     @property
     def is_waiting(self) -> bool:
-        """Whether the other hosts had time to answer, and nothing has started yet."""
+        """Whether the other hosts had time to answer, and no coordinator has started yet."""
         return self._waiting
 
     @property
     def poll_due(self) -> bool:
-        """Whether the coordinators are to be started now; True once."""
+        """Whether the coordinators are to be started now; returns True once."""
         now = self._waiting and not self.missing
         self._waiting = self._waiting and not now
         self._is_decided = self._is_decided or now
@@ -84,9 +84,8 @@ class StartGate:
 
     @property
     def needed_hosts(self) -> Collection[str]:
-        """The hosts to query: all until the coordinators start; then those that never reported.
-
-        One of these may have an earlier start.
+        """The hosts to query: all hosts until the coordinators start; then the hosts that never reported,
+        which may have an earlier start.
         """
         if not self.agents:
             return ()

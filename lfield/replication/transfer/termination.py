@@ -2,7 +2,7 @@
 
 The home host of a coordinator may restart while the coordinator is on another host, and start it again. Then
 there are two starts. The earlier one has done work and continues; the later one is superseded wherever a host
-learns of both. A recovery is the exception: a host that knows of one runs no earlier start, whether or
+learns of both. A recovery is the exception: a host that knows of a recovery runs no earlier start, whether or
 not the recovery succeeded.
 """
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 class Termination:
-    """The terminations of one host's copies. `hosts` are those of the team, `links` the Hellos of the linked
-    ones.
+    """The terminations of one host's copies. `hosts` are the hosts of the team, `links` the Hellos of the
+    linked hosts.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Termination:
         return frozenset(self._hosts) - {self._host}
 
     def set_delay_rule(self, is_delayed: Callable[[Terminated], bool]) -> None:
-        """Set which remote terminations are neither stored nor confirmed yet."""
+        """Set the rule for remote terminations that are neither stored nor confirmed yet."""
         self.is_delayed = is_delayed
 
     def terminate(self, copy: CoordinatorCopy, outcome: Outcome, detail: str) -> list[Effect]:
@@ -85,7 +85,8 @@ class Termination:
     def declare_lost(self, agent: str, generations: Iterable[int], detail: str) -> list[Effect]:
         """Announce the proven loss of these starts to all linked hosts.
 
-        Not to hosts that link later: meanwhile the coordinator may have been started again.
+        The loss is not announced to hosts that link later: the coordinator may have been started again by
+        then.
         """
         effects: list[Effect] = []
         for generation in generations:
@@ -103,7 +104,9 @@ class Termination:
         return effects
 
     def broadcast_all(self) -> list[Effect]:
-        """This host is about to shut down: send every known termination but losses to all linked hosts."""
+        """Send every known termination except losses to all linked hosts, because this host is about to shut
+        down.
+        """
         effects: list[Effect] = []
         for copy in self._copies:
             if _is_end(copy):
@@ -141,7 +144,7 @@ class Termination:
         return [*effects, Send(host, TerminatedAck(message.agent, message.generation))]
 
     def proven_losses(self, since: float) -> set[str]:
-        """The coordinators reported as lost since then, with proof, by hosts that were shutting down."""
+        """The coordinators reported as lost since this time, with proof, by hosts that were shutting down."""
         return {agent for (agent, _), at in self._losses.items() if at >= since}
 
     def on_ack(self, host: str, message: TerminatedAck) -> list[Effect]:
@@ -160,13 +163,17 @@ class Termination:
         return hosts
 
     def on_remote_termination(self, ended: Terminated) -> list[Effect]:
-        """Apply a termination on another host, unless the copy held here disproves it, or it is delayed."""
+        """Apply a termination on another host, unless the copy on this host disproves it, or it is
+        delayed.
+        """
         return self.fence(ended.agent, ended.generation, ended.host) + self._apply_termination(
             ended, self.is_delayed
         )
 
     def on_delay_over(self, ended: Terminated) -> list[Effect]:
-        """`on_remote_termination`, for one whose delay is over; confirms it to the host where it ended."""
+        """`on_remote_termination`, for a termination whose delay is over; confirms it to the host where the
+        coordinator ended.
+        """
         effects = self._apply_termination(ended, lambda ended: False)
         if ended.host in self._links:
             effects.append(Send(ended.host, TerminatedAck(ended.agent, ended.generation)))
@@ -181,7 +188,7 @@ class Termination:
             return []
         if ended.outcome == "superseded":
             return self.stop_for_other_start(copy, ended.detail, ended.host)
-        # A copy held here cannot have ended elsewhere, nor be lost while it may continue here.
+        # A copy on this host cannot have ended elsewhere, and cannot be lost while it may continue here.
         if copy.state in ("RUN", "FROZEN"):
             return []
         if copy.state == "PREPARED" and ended.outcome == "lost" and not self._is_unanswerable(copy):
@@ -195,8 +202,9 @@ class Termination:
         ]
 
     def _is_unanswerable(self, copy: CoordinatorCopy) -> bool:
-        """Whether a copy in doubt waits for an answer from an incarnation that has ended: it will never
-        arrive."""
+        """Whether a copy in doubt waits for an answer from an incarnation that has ended: this answer will
+        never arrive.
+        """
         target = self._links.get(copy.target)
         return bool(copy.doubt_reason) and target is not None and target.state_id != copy.receiver_memory
 
@@ -208,7 +216,7 @@ class Termination:
         return [*kept, TerminateCopy(copy.agent, copy.generation, reason)] if held else kept
 
     def compare_starts(self, host: str, known: CoordinatorState) -> list[Effect]:
-        """`host` holds a live copy of a start: supersede that start, or those here that it outranks."""
+        """`host` holds a live copy of a start: supersede that start, or the starts here that it outranks."""
         by = self._outranking_generation(known.agent, known.generation)
         if by is not None:
             beaten = self._copies.find_or_create(known.agent, known.generation)
@@ -216,7 +224,7 @@ class Termination:
         return self.supersede(known.agent, known.generation, host)
 
     def supersede(self, agent: str, generation: int, host: str) -> list[Effect]:
-        """A start is alive on `host`: supersede all that it outranks."""
+        """A start is alive on `host`: supersede all starts that it outranks."""
         effects = self.fence(agent, generation, host)
         for copy in self._copies.starts_of(agent):
             if copy.state != "EXITED" and outranks(generation, copy.generation):
@@ -224,7 +232,9 @@ class Termination:
         return effects
 
     def fence(self, agent: str, generation: int, host: str) -> list[Effect]:
-        """`host` knows of a start. If it is a recovery, earlier ones stop, even if it failed."""
+        """`host` knows of a start. If this start is a recovery, earlier starts stop, even if the recovery
+        failed.
+        """
         effects: list[Effect] = []
         for copy in self._copies.starts_of(agent) if is_recovery(generation) else ():
             if copy.state != "EXITED" and copy.generation < generation:
@@ -234,7 +244,9 @@ class Termination:
         return effects
 
     def terminate_outranked(self, recovery: CoordinatorCopy) -> list[Effect]:
-        """A recovery is made here: all other starts end, and every host is notified until it confirms."""
+        """End all other starts, because a recovery is made here, and every host is notified until it
+        confirms.
+        """
         effects: list[Effect] = []
         for copy in self._copies.starts_of(recovery.agent):
             if copy.state != "EXITED" and copy is not recovery:
@@ -242,7 +254,7 @@ class Termination:
         return effects
 
     def displace_in_doubt(self, arrived: CoordinatorCopy) -> list[Effect]:
-        """A start was injected here: an earlier one in doubt leaves the machine, which has room for one.
+        """A start was injected here: an earlier start in doubt leaves the machine, which has space for one.
 
         This is no proof of a loss: the receiver is still queried, and the copy is still reported.
         """
@@ -256,7 +268,9 @@ class Termination:
         return effects
 
     def supersede_arrival(self, copy: CoordinatorCopy) -> list[Effect]:
-        """Supersede a start that arrives where one that outranks it is alive, or a recovery is known."""
+        """Supersede a start that arrives on a host where a start that outranks it is alive, or a recovery is
+        known.
+        """
         by = self._outranking_generation(copy.agent, copy.generation)
         return [] if by is None else self._supersede(copy, by, self._host)
 
@@ -280,5 +294,5 @@ class Termination:
 
 
 def _is_end(copy: CoordinatorCopy) -> bool:
-    """Whether a start has ended, and not as lost: that one may be continued elsewhere."""
+    """Whether a start has ended, but not as lost: a lost start may be continued elsewhere."""
     return copy.state == "EXITED" and copy.outcome not in ("", "lost")

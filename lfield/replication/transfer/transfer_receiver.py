@@ -32,7 +32,7 @@ class InjectHook(Protocol):
     """Loads an arrived copy into the machine, in place of any other copy of that agent."""
 
     def __call__(self, header: Transfer, block: Buffer) -> TransferRefusal | None:
-        """Returns a refusal if it cannot. Copies the block, and does not call back."""
+        """Returns a refusal if the copy cannot be loaded. Copies the block, and makes no call back."""
 
 
 class TransferReceiver:
@@ -45,7 +45,7 @@ class TransferReceiver:
         self._state_id = own.state_id
 
     def on_transfer(self, host: str, header: Transfer, block: Buffer, inject: InjectHook) -> list[Effect]:
-        """A hop: a coordinator has arrived from `host`."""
+        """Receive a coordinator from `host`."""
         if header.receiver_memory != self._state_id:
             return [self._stale_note(host, header)]
         copy = self._admissible(header, len(block))
@@ -58,7 +58,7 @@ class TransferReceiver:
     def arriving_state(self, header: Transfer) -> CoordinatorState | None:
         """The state reported to other hosts for an arrival that waits for its verdict.
 
-        None when a later state of that start is known, or it will be refused.
+        None when a later state of that start is known, or when the arrival will be refused.
         """
         start = header.agent, header.generation
         copy = self._copies.find(*start)
@@ -79,8 +79,9 @@ class TransferReceiver:
         return [Send(host, _refusal_of(header, unfit))]
 
     def on_query(self, host: str, message: TransferQuery) -> list[Effect]:
-        """Answer a query about a transfer. One that never arrived is refused permanently, even if it
-        arrives later."""
+        """Answer a query about a transfer. A transfer that never arrived is refused permanently, even if it
+        arrives later.
+        """
         if message.receiver_memory != self._state_id:
             proof = self.prove_outcome(message)
             return [Send(host, proof)] if proof else [self._stale_note(host, message)]
@@ -96,7 +97,7 @@ class TransferReceiver:
         return effects
 
     def prove_outcome(self, query: TransferQuery) -> TransferAccepted | TransferRefused | None:
-        """The proof that this host has about a transfer to another host or state id; None for none.
+        """The proof that this host has about a transfer to another host or state id; None without one.
 
         Only the copy that resulted from the transfer assigns higher numbers of that start.
         """
@@ -148,11 +149,11 @@ class TransferReceiver:
         return effects
 
     def _confirm_by_successor(self, copy: CoordinatorCopy) -> list[Effect]:
-        """A higher number proves that a copy still waiting for its verdict has arrived."""
+        """A higher number proves the arrival of a copy that still waits for its verdict."""
         return self._departures.mark_moved(copy) if copy.state == "PREPARED" else []
 
     def _admissible(self, header: Transfer, size: int) -> CoordinatorCopy | TransferRefusal:
-        """The record of that start, or why it can never be admitted here.
+        """The record of that start, or the reason why it can never be admitted here.
 
         Depends only on constants, so the refusal need not be stored.
         """

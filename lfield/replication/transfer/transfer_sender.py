@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 #: The L exceptions of a refused hop (appendix I names the first and the last).
 UNREACHABLE = "UnreachableResourceException"
 RESTARTED = "RestartException"
-#: What is known of a call that was interrupted by a restart.
+#: The known state of a call that was interrupted by a restart.
 NOT_STARTED, MAYBE_STARTED = "this call has not begun", "this call may have begun"
 LIMIT = "LimitException"
-#: Why a paused host admits no coordinator.
+#: The reason why a paused host admits no coordinator.
 PAUSED = "the mission is paused there"
 #: Minimum time in seconds until an unanswered transfer is in doubt. A link may be silent for 8 s until it is
-#: closed; then the answer comes over other hosts. An earlier doubt could be reported by both hosts at once.
+#: closed; then the answer arrives over other hosts. An earlier doubt could be reported by both hosts at once.
 MIN_DOUBT_TIME = 10.0
 
 
@@ -62,7 +62,7 @@ class TransferSender:
         self._state_ids: dict[str, int] = {}
         #: The linked hosts that cannot store coordinators now, with the reasons.
         self._backpressure: dict[str, str] = {}
-        #: The hosts whose answer to a probe is awaited: nothing is sent to them before.
+        #: The hosts whose answer to a probe is awaited: no coordinator is sent to them before.
         self._probed: set[str] = set()
 
     def depart(self, copy: CoordinatorCopy) -> list[Effect]:
@@ -70,7 +70,7 @@ class TransferSender:
         return self._send(copy)
 
     def on_linked(self, peer: Hello) -> list[Effect]:
-        """Continue the copies that wait for this host. It reports its free space again."""
+        """Continue the copies that wait for this host. The host reports its free space again."""
         self._backpressure.pop(peer.host, None)
         self._probed.discard(peer.host)
         self._state_ids[peer.host] = peer.state_id
@@ -82,8 +82,9 @@ class TransferSender:
         return effects
 
     def pending_queries(self) -> list[tuple[Send, bool]]:
-        """The queries to relay because the link is down or the receiver has no record of the transfer; and
-        whether the copy is in doubt."""
+        """The queries to relay because the link is down or the receiver has no record of the transfer, each
+        with whether the copy is in doubt.
+        """
         waiting = (copy for copy in self._copies if copy.awaits_answer)
         return [
             (_query_for(copy), bool(copy.doubt_reason))
@@ -92,7 +93,7 @@ class TransferSender:
         ]
 
     def on_unlinked(self, host: str) -> None:
-        """The link to a host closed, and its report of free space is void: it may have failed."""
+        """The link to a host closed, and its report of free space is void: the host may have failed."""
         self._backpressure.pop(host, None)
         self._probed.discard(host)
         self._state_ids.pop(host, None)
@@ -100,7 +101,7 @@ class TransferSender:
     def needs_probe(self, host: str) -> bool:
         """Whether a linked host must be probed: copies wait for it as without a link.
 
-        Not if nothing could be sent to it anyway.
+        False if no copy could be sent to it anyway.
         """
         if host not in self._backpressure:
             self._probed.add(host)
@@ -118,7 +119,9 @@ class TransferSender:
         return [] if peer is None else self._retry(copy, peer)
 
     def on_backpressure(self, host: str, trouble: str) -> list[Effect]:
-        """Whether a host can store arrivals: if not, nothing is sent, and copies wait as without a link."""
+        """A host reports whether it can store arrivals: if not, no copy is sent, and copies wait as without a
+        link.
+        """
         self._backpressure.pop(host, None)
         if trouble:
             self._backpressure[host] = trouble
@@ -127,20 +130,22 @@ class TransferSender:
         return [effect for copy in waiting for effect in self._send(copy)]
 
     def on_accepted(self, host: str, message: TransferAccepted) -> list[Effect]:
-        """The receiver has admitted it, or it has moved on: the commit point of the hop for the sender.
+        """The receiver has admitted the copy, or the copy has moved on: the commit point of the hop for the
+        sender.
 
-        Any host may know that it has moved on.
+        Any host may report that the copy has moved on.
         """
         copy = self._pending(message)
         return [] if copy is None else self.mark_moved(copy, message.held)
 
     def on_refused(self, host: str, message: TransferRefused, now: float) -> list[Effect]:
-        """The receiver does not have it, and never will under this number."""
+        """The receiver does not have the copy, and will never admit it under this number."""
         copy = self._pending(message)
         if copy is None or (copy.target != host and message.kind != SUPERSEDED):
             return []
         if not copy.awaits_answer and message.kind != SUPERSEDED:
-            # It is not in the machine yet, so it could not continue. `on_restored` sends the query again.
+            # The copy is not in the machine yet, so it could not continue. `on_restored` sends the query
+            # again.
             return []
         if copy.is_displaced and message.kind != SUPERSEDED:
             copy.mark_ended("lost", f"{host} refused it, and the copy here was displaced", self._own.host)
@@ -166,19 +171,19 @@ class TransferSender:
         if copy is None or not copy.is_unanswered:
             return []
         if self._copies.has_journal and (host, state_id) == (copy.target, copy.receiver_memory):
-            # The host's record of itself may not be on its disk yet. It answers for the transfer when it is.
+            # The record may not be on the disk of its host yet. The host answers for the transfer when it is.
             return []
         arrived = known.sequence == copy.sequence and known.state in ("RUN", "FROZEN")
         return self.mark_moved(copy) if arrived or known.sequence > copy.sequence else []
 
     def mark_moved(self, copy: CoordinatorCopy, held: float = 0.0) -> list[Effect]:
-        """The copy lives on another host; the block stays as its shadow."""
+        """The copy lives on another host; the block is kept as its shadow."""
         copy.move()
         departed = MarkMigrated(copy.agent, copy.generation, copy.sequence, copy.target, held)
         return [departed, *self._copies.persist(copy, is_lazy=True)]
 
     def cancel(self, copy: CoordinatorCopy) -> bool:
-        """Cancel a departure. False if something may have been sent."""
+        """Cancel a departure. Returns False if a transfer may have been sent."""
         if copy.state != "FROZEN":
             return False
         copy.resume(is_stored=self._copies.has_journal)
@@ -191,13 +196,14 @@ class TransferSender:
                 copy.postpone(now + self._unreachable_after)
 
     def due(self, copy: CoordinatorCopy) -> float:
-        """When `on_deadline` has something to do for a live copy that is not running."""
+        """The time when `on_deadline` has work for a live copy that is not running."""
         return copy.deadline + self._doubt_grace if copy.state == "PREPARED" else copy.deadline
 
     def on_deadline(self, copy: CoordinatorCopy, now: float) -> list[Effect]:
-        """The deadline of a departure has passed: resume if nothing was sent, else mark as in doubt.
+        """The deadline of a departure has passed: resume the copy if it was not sent, else mark it as in
+        doubt.
 
-        A copy that waits for a paused host waits as long as that is linked and paused.
+        A copy that waits for a paused host waits as long as this host is linked and paused.
         """
         if copy.state == "FROZEN" and self._backpressure.get(copy.target) == PAUSED:
             copy.postpone(copy.deadline + self._unreachable_after)

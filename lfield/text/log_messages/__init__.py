@@ -1,4 +1,4 @@
-"""The table of log lines: each has a stable code, a level and a template.
+"""The table of log lines: each line has a stable code, a level and a template.
 
 A host logs only the `LogLine`s that `LogMessage.line` makes. Drivers have tables of their own, with
 `LogMessage`s of the same kind. `lfield/docs/messages.md` lists all tables; events carry code and level
@@ -17,5 +17,5 @@ from lfield.text.log_messages.host import *
 from lfield.text.log_messages.links import *
 from lfield.text.log_messages.log_line import *
 
-#: The lines of hosts by their code; those of devices are in `DEVICE_MESSAGES`.
+#: The lines of hosts by their code; the lines of devices are in `DEVICE_MESSAGES`.
 LOG_MESSAGES: dict[str, LogMessage] = {**HOST, **AGENTS, **LINKS, **DEVICES}

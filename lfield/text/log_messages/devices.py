@@ -49,7 +49,7 @@ HEARTBEAT_LATE = _message(
 
 # --- reports of guards and of the base class of drivers; each follows "DEVICE " ----------------------------
 
-#: Their lines, without the name of the device.
+#: The lines of reports, without the name of the device.
 DEVICE_MESSAGES = LogTable()
 _report = DEVICE_MESSAGES.message
 

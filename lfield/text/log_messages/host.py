@@ -9,7 +9,7 @@ _message = HOST.message
 
 # --- the host and its journal ---------------------------------------------------------------------------
 
-#: What the line of a host says for each value of `journal`.
+#: The text in the line of a host for each value of `journal`.
 _JOURNALS = {"stored": "", "none": "; state not saved", "simulation": "; no journal (simulation)"}
 _LOCAL = "for commands of this computer"
 HOST_LISTENING = _message(

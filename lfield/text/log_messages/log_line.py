@@ -17,7 +17,9 @@ class LogLine(str):
     __slots__ = ("code", "level", "template_values")
 
     def __new__(cls, text: str, code: str, level: Level, template_values: Mapping[str, object]) -> LogLine:
-        """`LogMessage.line` and `report_line` call this, and readers of lines that a host has logged."""
+        """The constructor is called by `LogMessage.line`, `report_line`, and readers of lines that a host has
+        logged.
+        """
         made = super().__new__(cls, text)
         made.code, made.level = code, level
         made.template_values = template_values
@@ -28,7 +30,7 @@ class LogLine(str):
     template_values: Mapping[str, object]
 
     def as_data(self) -> dict[str, object]:
-        """Code, level, text and fields, as of JSON; a value that is no number or text becomes text."""
+        """Code, level, text and fields as JSON values; a value that is no number or text becomes text."""
         plain = {
             name: value if isinstance(value, int) or _is_finite(value) else str(value)
             for name, value in self.template_values.items()
@@ -37,12 +39,12 @@ class LogLine(str):
 
 
 def _is_finite(value: object) -> bool:
-    """Whether it is a number that JSON has."""
+    """Whether `value` is a number that JSON can represent."""
     return isinstance(value, float) and isfinite(value)
 
 
 class Clause(NamedTuple):
-    """A part of a template that is made from values: they stay plain data, and the text reads well."""
+    """A part of a template that is made from values, which stay plain data."""
 
     values: tuple[str, ...]
     text: Callable[..., str]

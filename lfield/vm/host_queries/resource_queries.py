@@ -19,7 +19,7 @@ from lfield.vm.memory.threads import count
 from lfield.vm.memory.word_codec import decode_value
 from lfield.vm.scheduler import Scheduler
 
-#: Called once: the value and '', or nothing and the reason.
+#: Called once with the value and '', or with None and the reason.
 OnAnswer = Callable[[DeviceValue, str], None]
 
 

@@ -1,7 +1,7 @@
 """The portal calls that threads of this host serve, and the coordinators that made them.
 
-The host asks for them before it lets a device act, when it grants a reservation, and for what it shows of an
-agent. A call is known by its number, which is in the record of the thread that serves it.
+The host queries them before it permits a device action, when it grants a reservation, and to display the
+state of an agent. A call is identified by its number, which is in the record of the thread that serves it.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ from lfield.vm.scheduler import Scheduler
 
 
 class ServedCalls:
-    """The calls of one host. Changes nothing.
+    """Read access to the calls of one host. The calls in progress are in the scheduler, by number: the
+    coordinator that waits, or the record of a call of a `together`.
 
-    The calls in progress are in the scheduler, by number: the coordinator that waits, or the record of a call
-    of a `together`. A call that is not there was detached from its caller, and its result is dropped.
+    A call that is missing there was detached from its caller, and its result is dropped.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
 
     def of_thread(self, resource: Agent, thread: int) -> tuple[int, Agent | PendingCall | None]:
-        """The number of the portal call that a thread serves, 0 for none, and the coordinator that called.
+        """The number of the portal call that a thread serves, 0 for none, and the calling coordinator.
 
         The coordinator is None for a detached call, and for a query of the host itself. For a call of a
-        `together` it is the call's record, with the coordinator's data at its start.
+        `together` the record of the call takes the place of the coordinator, with the coordinator's data at
+        its start.
         """
         number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
         found = self._scheduler.calls.get(number)
@@ -36,7 +37,7 @@ class ServedCalls:
     def caller(self, resource: Agent, thread: int) -> Agent | PendingCall | None:
         """The coordinator of `of_thread`.
 
-        A pending call stands for its coordinator, which may have gone to another host: its record has the
+        A pending call represents its coordinator, which may have gone to another host: its record has the
         coordinator's id, start and time limit.
         """
         return self.of_thread(resource, thread)[1]
@@ -44,7 +45,7 @@ class ServedCalls:
     def has_others(self, resource: Agent, agent_id: str) -> bool:
         """Whether a call of another coordinator, or a detached one, is in progress in a resource here.
 
-        A resource is reserved only when no other coordinator works with it. Queries of the host do not count.
+        A resource is reserved only when no other coordinator uses it. Queries of the host do not count.
         """
         scheduler = self._scheduler
         if resource.ended:

@@ -53,7 +53,7 @@ _TICKET_STATES = {
 class FrameView(Struct, frozen=True):
     """One activation record: `Owner.method`, position, source line, named slots.
 
-    `calls`: those of each enclosing `together` with their states; `reserved`: the resources of each
+    `calls`: the calls of each enclosing `together` with their states; `reserved`: the resources of each
     `reserve`.
     """
 
@@ -109,7 +109,7 @@ def value_text(block: Block, program: Program, kind: int, word: int, members: Se
 
 
 def _field_types(program: Program, place: int, block: Block) -> list[int]:
-    """Types of an object's fields, except those added by the machine."""
+    """Types of an object's fields, except the fields added by the machine."""
     fields = program.core.classes[block.w[place] >> 8 & 0xFFFFFF].fields
     return [field.type for field in fields if not field.is_hidden]
 
@@ -141,7 +141,7 @@ def map_entries(block: Block, place: int) -> list[tuple[int, int]]:
     keys, values, following, buckets = (w[place + 1 + field] for field in range(4))
     if not (keys and values and following and buckets):
         return []
-    # Without buckets it has keys and values alone: a test has made it.
+    # A map without buckets has only keys and values: a test has made it.
     links = (
         w[slice(*layout.elements(w, following))]
         if layout.length(w, buckets)

@@ -1,4 +1,4 @@
-"""Dump file format: a block with everything that `lfield inspect` needs.
+"""Dump file format: a block with all data that `lfield inspect` needs.
 
     "LFDP"  u16 version  u16 0  u32 CRC-32 of the record  then the record in msgpack; numbers little-endian
 
@@ -77,7 +77,7 @@ def decode(data: bytes) -> tuple[Dump, Program, Block]:
 
 
 def decode_program_and_block(code: bytes, types: Sequence[str], block: bytes) -> tuple[Program, Block]:
-    """A verified program file and a block of it; `types` are those of the team's agents.
+    """A verified program file and a block of it; `types` are the types of the team's agents.
 
     Raises BlockError and ProgramFileError.
     """

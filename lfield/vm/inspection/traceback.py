@@ -47,7 +47,7 @@ def stack(block: Block, program: Program, thread: int) -> list[FrameLocation]:
 def innermost(block: Block, program: Program, thread: int) -> FrameLocation | None:
     """The innermost frame of the thread at `thread`, and its operation; None without frames.
 
-    A sleeping or yielding thread is after that instruction.
+    A sleeping or yielding thread is positioned after this operation.
     """
     w = block.w
     pc = w[thread + THREAD_PC] - (w[thread + THREAD_STATE] in (SLEEPING, PARKED))
@@ -64,14 +64,16 @@ def _frames(block: Block, program: Program, frame: int, pc: int) -> Iterator[Fra
 
 
 def lines_down_to(block: Block, program: Program, frame: int, pc: int, last: int, trace: str) -> list[str]:
-    """The lines of a trace from a frame at `pc` to the one at `last`; at most ten."""
+    """The lines of a trace from a frame at `pc` to the frame at `last`; at most ten."""
     found = list(islice(_frames(block, program, frame, pc), INNERMOST))
     end = next((i for i, place in enumerate(found, 1) if place.frame == last), len(found))
     return [_line(program, place) for place in _earlier_frames(trace, program, _own(found[:end]))]
 
 
 def lines(block: Block, program: Program, thread: int, trace: str = "") -> list[str]:
-    """`at Server.fib (cs.L:52)` for each frame of a trace, innermost first; both ends of a deep stack."""
+    """`at Server.fib (cs.L:52)` for each frame of a trace, innermost first; only both ends of a deep
+    stack.
+    """
     own = _own(stack(block, program, thread))
     inner, between, outer = split_ends(_earlier_frames(trace, program, own))
     omitted = [f"... {between} more calls ..."] if between else []
@@ -79,7 +81,7 @@ def lines(block: Block, program: Program, thread: int, trace: str = "") -> list[
 
 
 def _own(frames: list[FrameLocation]) -> list[FrameLocation]:
-    """The frames without those of the library in L, which say nothing to the author of a program."""
+    """The frames without the frames of the library in L, which do not help the author of a program."""
     return [place for place in frames if place.file != LIBRARY_SOURCE]
 
 
@@ -104,9 +106,9 @@ def _line(program: Program, place: FrameLocation) -> str:
 
 
 def split_ends(frames: Sequence[Frame]) -> tuple[Sequence[Frame], int, Sequence[Frame]]:
-    """The innermost frames of a stack, the number of omitted ones, and the outermost ones.
+    """The innermost frames of a stack, the number of omitted ones, and the outermost frames.
 
-    The ends show how a recursion was entered and what it does.
+    The ends show the entry of a recursion and its steps.
     """
     between = len(frames) - INNERMOST - OUTERMOST
     if between <= 1:
@@ -115,7 +117,7 @@ def split_ends(frames: Sequence[Frame]) -> tuple[Sequence[Frame], int, Sequence[
 
 
 def describe(block: Block, program: Program, thrown: int) -> tuple[str, str, str]:
-    """Class name, message and trace of a thrown object ('' where it has none)."""
+    """Class name, message and trace of a thrown object ('' if it has none)."""
     record = block.w[thrown] >> 8 & 0xFFFFFF
     name = program.core.classes[record].name
     if record >= program.builtins:

@@ -1,8 +1,8 @@
 """Ticks of the loops of resources: schedule, overruns, suppression (decision 106).
 
 A loop is a thread of its resource. Its method of kind "ticks" waits for ticks and calls the body. All loops
-of a resource begin at one time, so loops with equal periods have their ticks at equal times; then those with
-the higher priority, whose threads are older, are first.
+of a resource begin at the same time, so loops with equal periods have simultaneous ticks; then the loops with
+the higher priority, whose threads are older, run first.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class LoopTicks:
         self._scheduler, self._cancellation = scheduler, cancelling
 
     def handlers(self) -> dict[str, Callable[[Agent, int, int, list[int]], None]]:
-        """By the name of the instruction."""
+        """The handlers by the name of the instruction."""
         return {
             "tick": self.tick,
             "suppress": self.suppress,
@@ -49,7 +49,7 @@ class LoopTicks:
             return
         now = scheduler.clock_of(agent)
         if due > now + MAX_PERIOD:
-            # Only a program that no compiler has made.
+            # Only a program that was not compiled by lfield has such a period.
             scheduler.throw_builtin(agent, thread, "ArithmeticException", f"no tick at {due} ns", agent.id)
             return
         loops.end_tick(thread)

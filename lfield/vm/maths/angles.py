@@ -70,7 +70,7 @@ def atan2(y: float, x: float) -> float:
 
 
 def _along(y: float, x: float) -> float:
-    """The angle of a direction along the x axis, or of one to an end of it."""
+    """The angle of a direction along the x axis, or of a direction to an end of the axis."""
     if abs(y) == INFINITY:
         return copysign(0.5 * HALF_PI if x > 0.0 else 1.5 * HALF_PI, y)
     return copysign(PI, y) if copysign(1.0, x) < 0.0 else copysign(0.0, y)

@@ -1,4 +1,4 @@
-"""Instructions implemented by the maths of L, and when they have no result (tables J.7, J.9).
+"""Instructions implemented by the maths of L, and the cases without a result (tables J.7, J.9).
 
 An engine that lowers these functions may leave every non-finite result to the reference engine.
 """

@@ -30,10 +30,10 @@ from lfield.vm.memory.word_codec import NAN, bits_of_real, real_from_bits
 
 #: Arguments above which e^x overflows, and below which it is 0.
 _LARGEST, _SMALLEST = 709.8, -745.2
-#: Adding and subtracting it rounds to an integer.
+#: Adding and then subtracting this number rounds to an integer.
 _ROUNDING = 6755399441055744.0
 _ROOT_OF_2 = 1.4142135623730951
-#: From here on every real is an integer, and from twice of it an even one.
+#: From this number on every real is an integer, and from twice this number an even one.
 _WHOLE = 4503599627370496.0
 
 

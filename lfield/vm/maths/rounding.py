@@ -1,7 +1,7 @@
 """Exact functions: rounding, minimum, maximum, remainder (tables J.7, J.9).
 
-No result is rounded. They are written out since WebAssembly has no remainder, and rounds with other signs of
-0 than L.
+No result is rounded. The functions do not use built-in ones, since WebAssembly has no remainder, and its
+rounding has other signs of 0 than L.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from lfield.vm.maths.constants import INFINITY
 from lfield.vm.maths.double_doubles import exponent, scaled
 from lfield.vm.memory.word_codec import NAN, bits_of_real
 
-#: From here on every real is an integer.
+#: From this number on every real is an integer.
 _WHOLE = 4503599627370496.0
 
 
@@ -87,6 +87,6 @@ def _power(x: float) -> int:
 
 
 def _mantissa(x: float) -> int:
-    """The 53-bit mantissa of a finite real without sign: x is it times 2^(power - 52)."""
+    """The 53-bit mantissa m of a finite real without sign: x = m * 2^(power - 52)."""
     bits = bits_of_real(x) & 0xFFFFFFFFFFFFF
     return bits if exponent(x) == -1023 else bits | 0x10000000000000

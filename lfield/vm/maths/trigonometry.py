@@ -1,7 +1,7 @@
 """Sine, cosine and tangent of radians of any size (table J.9, decision 58).
 
 Argument reduction to within pi / 4 of 0: up to 800,000 quarter turns with pi / 2 in four parts (Cody and
-Waite), beyond with as many digits of 2 / pi as the exponent needs (Payne and Hanek).
+Waite), above that with as many digits of 2 / pi as the exponent needs (Payne and Hanek).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lfield.vm.memory.word_codec import NAN, bits_of_real
 _SMALL = 0.7853981633974483
 #: Below this angle the parts of pi / 2 suffice.
 _NEAR = 800000.0
-#: Adding and subtracting it rounds to an integer.
+#: Adding and then subtracting this number rounds to an integer.
 _ROUNDING = 6755399441055744.0
 _DIGIT = 0xFFFFFFF
 #: Weights of the digits after the units.

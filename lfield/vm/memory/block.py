@@ -24,7 +24,7 @@ from lfield.vm.memory.layout import (
 INITIAL_WORDS = 512
 #: Words above the limit, reserved for the exception that reports the limit.
 RESERVE_WORDS = 256
-#: Elements that a full array grows by at least.
+#: The minimum number of elements by which a full array grows.
 LEAST_GROWTH = 4
 
 _ZEROS = memoryview(bytes(8 * 4096)).cast("q")
@@ -54,9 +54,9 @@ class ThreadPlaces(dict[int, int]):
 class Block:
     """A block in memory: its bytes as ints (`w`) and as reals (`r`), allocated from `space`.
 
-    `top` is the first unused word, `end` the first one out of bounds, `limit` the maximum words of the heap,
+    `top` is the first unused word, `end` the first word out of bounds, `limit` the maximum words of the heap,
     `packed` the top when there was no garbage (0: never). The views belong to the present bytes: after a
-    collection or growth they must be read again. So must `places`, None until first used
+    collection or growth they must be read again. The same applies to `places`, None until first used
     (`lfield.vm.memory.threads`).
     """
 
@@ -74,7 +74,7 @@ class Block:
 
     @classmethod
     def empty(cls, digest: bytes, limit: int, space: BlockAllocator = HEAP_ALLOCATOR) -> Block:
-        """A block with a header and nothing on its heap."""
+        """A block with a header and an empty heap."""
         block = cls(space.allocate(8 * INITIAL_WORDS), HEADER_WORDS, limit, space)
         block.w[:HEADER_WORDS] = _ZEROS[:HEADER_WORDS]
         block.w[layout.W_MAGIC] = layout.MAGIC | layout.VERSION << 32
@@ -115,7 +115,7 @@ class Block:
         return memoryview(self.data)[: 8 * self.top]
 
     def set_top(self, top: int) -> None:
-        """Set the first unused word, after writes above the old one or a release below it."""
+        """Set the first unused word, after writes above the old top or a release below it."""
         self.top = top
 
     def index_threads(self) -> ThreadPlaces:
@@ -132,16 +132,18 @@ class Block:
         return places
 
     def require(self, words: int) -> None:
-        """Raise HeapFull unless that many words are free; called before the first write."""
+        """Raise HeapFull unless `words` words are free; called before the first write."""
         if self.top + words > self.end:
             raise HeapFull(words)
 
     def missing_words(self, start: int, full: HeapFull) -> int:
-        """The minimum free words for an operation that got this far, from the top at its start."""
+        """The minimum free words for an operation that has written up to the present top, from the top at its
+        start.
+        """
         return self.top - start + full.words
 
     def allocate(self, kind: int, index: int, words: int) -> int:
-        """A new object of that many words, zero except its header. Raises HeapFull."""
+        """A new object of `words` words, zero except its header. Raises HeapFull."""
         place = self.top
         end = place + words
         if end > self.end:
@@ -192,9 +194,9 @@ class Block:
         return identity
 
     def new_array(self, kind: int, plain: int, length: int) -> int:
-        """A new array of a type (by index) with that many elements, all 0. Raises HeapFull before any write.
+        """A new array of a type (by index) with `length` elements, all 0. Raises HeapFull before any write.
 
-        `plain` is the type of the ARRAY with its elements. If the type is another one, the array may grow: it
+        `plain` is the type of the ARRAY with its elements. If `kind` is another type, the array may grow: it
         has its length and a reference to an ARRAY, whose size is the capacity.
         """
         if plain == kind:
@@ -206,10 +208,11 @@ class Block:
         return place
 
     def insert_element(self, place: int, at: int, word: int, most: int) -> None:
-        """Insert an element before the one at an index, which is at most the length, into a growable array.
+        """Insert an element into a growable array, before the element at an index, which is at most the
+        length.
 
-        If it is full, its elements move to an ARRAY with half as many more, at most `most`: an insertion at
-        the end costs a constant time on average. Raises HeapFull before any write.
+        If the array is full, its elements move to an ARRAY with half as many more, at most `most`: an
+        insertion at the end takes a constant time on average. Raises HeapFull before any write.
         """
         w = self.w
         array, length = w[place + GROWABLE_ARRAY], w[place + GROWABLE_LENGTH]
@@ -225,7 +228,7 @@ class Block:
         w[place + GROWABLE_LENGTH] = length + 1
 
     def remove_element(self, place: int, at: int) -> int:
-        """Remove the element at a valid index of a growable array; returns it. Spare words are 0."""
+        """Remove and return the element at a valid index of a growable array. Spare words are 0."""
         w = self.w
         first, end = elements(w, place)
         word = w[first + at]

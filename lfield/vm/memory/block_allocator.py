@@ -17,19 +17,19 @@ VerifiedHeap = tuple[Mapping[int, int], list[int]]
 class BlockAllocator(Protocol):
     """Allocates the bytes of blocks, and frees them when no view is left.
 
-    Native allocators may do heap operations themselves, with results identical to the Python code: otherwise
-    `collect`, `copy`, `verify_heap` and `can_migrate` decline.
+    Native allocators may execute heap operations themselves, with results identical to the Python code:
+    otherwise `collect`, `copy`, `verify_heap` and `can_migrate` decline.
     """
 
     @property
     def is_native(self) -> bool:
-        """Whether it may do heap operations itself."""
+        """Whether the allocator may execute heap operations itself."""
 
     def allocate(self, size: int, /) -> Buffer:
-        """That many uninitialised bytes (8 to a word)."""
+        """`size` uninitialised bytes (8 for each word)."""
 
     def resize(self, data: Buffer, size: int) -> Buffer:
-        """The same bytes with another size: the start of `data`, which must not be used any more.
+        """The bytes of `data` with another size; `data` must not be used any more.
 
         Added bytes are uninitialised.
         """
@@ -37,7 +37,7 @@ class BlockAllocator(Protocol):
     def collect(self, source: Buffer, target: Buffer, layouts: Layouts) -> int:
         """Copy live data (`lfield.vm.memory.collector`) after the header in the target.
 
-        Returns the new top in words; 0, without effect, if the allocator cannot.
+        Returns the new top in words; 0, without effect, if the allocator cannot collect.
         """
 
     def copy(
@@ -50,22 +50,22 @@ class BlockAllocator(Protocol):
         end: int,
         layouts: Layouts,
     ) -> tuple[list[int], int] | None:
-        """Copy everything reachable from the roots (`lfield.vm.memory.copier`) to `top`; the source has
+        """Copy all objects reachable from the roots (`lfield.vm.memory.copier`) to `top`; the source has
         `used` words.
 
         Returns the references to the copies and the new top; if the space before `end` is too small, the top
-        is the negated number of words needed. None if the allocator cannot.
+        is the negated number of words needed. None if the allocator cannot copy.
         """
 
     def verify_heap(self, data: Buffer, heap: int, top: int, schema: HeapSchema) -> VerifiedHeap | None:
-        """The objects between two words.
+        """The objects between two words, if sizes, texts, proxies and references are valid; None if the
+        allocator cannot decide (`lfield.vm.memory.block_verifier`).
 
-        Sizes, texts, proxies and references are then valid; None if the allocator cannot decide
-        (`lfield.vm.memory.block_verifier`). Valid until the next call.
+        The result is valid until the next call.
         """
 
     def can_migrate(self, data: Buffer, top: int, suspension_points: SuspensionPoints) -> bool:
-        """Whether a migrating coordinator's block of that many words is certainly valid.
+        """Whether a migrating coordinator's block of `top` words is certainly valid.
 
         The caller has checked magic, version and program. False if the allocator cannot decide.
         """

@@ -46,12 +46,12 @@ from lfield.vm.memory.layout import (
 from lfield.vm.memory.serialised_results import WORD_SIZE
 
 STATES = len(layout.STATE_NAMES)
-#: More migrations than any coordinator makes, so that the count fits its word.
+#: A limit of migrations that no coordinator reaches, so that the count fits its word.
 MAX_HOPS = 1 << 48
 _MAGIC, _EARLIER_MAGIC, _OLD_MAGIC = (
     layout.MAGIC | version << 32 for version in (layout.VERSION, layout.EARLIER_VERSION, layout.OLD_VERSION)
 )
-#: Not the lower half of any header.
+#: A number that is not the lower half of any header.
 _NOTHING = 0xFF
 _WRONG = "wrong magic or version"
 #: The bytes of a block before its top.
@@ -99,13 +99,13 @@ class BlockVerifier:
             data = self._copied(image, limit)
             if self._space.can_migrate(data, size // 8, self.suspension_points):
                 return Block(data, size // 8, limit, self._space, packed=size // 8)
-        # It is of an earlier version, invalid, or undecided.
+        # The block is of an earlier version, invalid, or undecided.
         block = self._adopt(image, limit)
         if block.w[layout.W_MAGIC] not in (_MAGIC, _EARLIER_MAGIC):
             raise BlockError(_WRONG, word=layout.W_MAGIC)
         self._check_coordinator(block, self._objects(block))
         if block.w[layout.W_MAGIC] == _EARLIER_MAGIC:
-            # It is moved, and gets the present header.
+            # The block is moved, and gets the present header.
             collect(block, self._layouts)
         return block
 
@@ -128,7 +128,7 @@ class BlockVerifier:
     def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """Any agent's block from its bytes, valid enough to be read. Raises BlockError.
 
-        Accepts both earlier versions: they lack the last words of the header, and 0.3 the second word of a
+        Accepts both earlier versions: they have no last words of the header, and 0.3 has no second word of a
         proxy.
         """
         block = self._adopt(image, limit)
@@ -232,7 +232,7 @@ class BlockVerifier:
             if half == layout.STRING and not self._is_text(block, place, words):
                 raise BlockError("a string is not valid UTF-8", word=place)
             if half & 0xFF == layout.PROXY:
-                # In a proxy of the previous version, the last word is the number again.
+                # In a proxy of the previous version, the last word repeats the number.
                 number, start = w[place + PROXY_MEMBER], w[place + words - 1]
                 known = 0 <= number < len(members) and members[number] == half >> 8
                 if not (known and 0 <= start < layout.START_LIMIT):
@@ -277,7 +277,9 @@ class BlockVerifier:
                 check_ticket(self.program, w, starts, place)
 
     def _check_coordinator(self, block: Block, starts: Mapping[int, int]) -> None:
-        """Check for one thread with one chain of frames, at the portal call of the migration."""
+        """Check that the block has one thread with one chain of frames, at the portal call of the
+        migration.
+        """
         w = block.w
         core = self.program.core
         record = w[layout.W_CLASS]
@@ -336,6 +338,6 @@ def _is_count(number: int) -> bool:
 
 
 def _has_counts(image: bytes | bytearray | memoryview) -> bool:
-    """Whether generation and sequence are counts; the native check takes any number."""
+    """Whether generation and sequence are counts; the native check accepts any number."""
     generation, sequence = _COUNTS.unpack_from(image, 8 * layout.W_GENERATION)
     return bool(0 <= generation < COUNT_LIMIT and 0 <= sequence < COUNT_LIMIT)

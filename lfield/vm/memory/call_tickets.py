@@ -34,7 +34,7 @@ from lfield.vm.memory.layout import (
     TICKET_WORDS,
 )
 
-#: Ticket words about its call; unused in a ticket of an existing result.
+#: The words of a ticket about its call; unused in a ticket of an existing result.
 _OF_CALLS = (TICKET_CALL, TICKET_METHOD, TICKET_GENERATION, TICKET_THROWN)
 
 
@@ -113,7 +113,7 @@ def _check_sentinel(w: memoryview[int], starts: Mapping[int, int], place: int) -
 
 
 def _check_next(w: memoryview[int], starts: Mapping[int, int], place: int, number: int) -> None:
-    """Numbers decrease along a chain, so it has no cycle."""
+    """Check that numbers decrease along a chain, so that it has no cycle."""
     before = w[place + TICKET_NEXT]
     if before and not 0 < w[before + TICKET_NUMBER] < number:
         raise BlockError("the tickets of a together do not form a chain", word=place)
@@ -140,7 +140,7 @@ def _check_element(w: memoryview[int], starts: Mapping[int, int], place: int) ->
         if array or index or w[place + TICKET_VALUE]:
             raise BlockError("a ticket has a result and no target", word=place)
         return
-    # Elements of an array that grows may have been removed since; `fetch` checks the index again.
+    # Elements of a growable array may have been removed since then; `fetch` checks the index again.
     shrinks = array and w[array] & 0xFF == layout.GROWABLE
     if not array or index < 0 or (not shrinks and index >= layout.length(w, array)):
         raise BlockError("the target of a ticket is not an element of its array", word=place)

@@ -1,7 +1,7 @@
 """Copying garbage collector (Cheney's algorithm), so that a hop transfers live data only.
 
-Precise: records give the positions of references. The cost grows with live data, not with garbage. The spare
-words of growable arrays are dropped.
+The collector is precise: records give the positions of references. Its time depends on live data, not on
+garbage. The spare words of growable arrays are dropped.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ _NEW_WORDS = memoryview(bytes(8 * HEADER_WORDS)).cast("q")
 
 #: Up to this many words a block grows because it fills often: 128 KiB.
 MAX_GROWTH_WORDS = 1 << 14
-#: Up to this many words (1 KiB) a block is one packet on most networks; smaller is no gain.
+#: Up to this many words (1 KiB) a block is one packet on most networks; a smaller block has no advantage.
 SMALL_BLOCK_WORDS = 1 << 7
-#: Unused bytes that a migrating block may keep: moving it would cost more.
+#: Unused bytes that a migrating block may keep: moving the block would take more time.
 MAX_SPARE_BYTES = 1 << 12
 
 
 def collect(block: Block, layouts: Layouts, free_words: int = 0) -> None:
     """Compact the block and leave at least `free_words` words free if its limit (and reserve) allows.
 
-    A small block that fills repeatedly grows, up to MAX_GROWTH_WORDS, so that collections cost little.
+    A small block that fills repeatedly grows, up to MAX_GROWTH_WORDS, so that collections take little time.
     References held outside the block (such as a thread's place) become invalid.
     """
     size = len(block.w)
-    # Its size rarely changes afterwards.
+    # The size of the block rarely changes afterwards.
     data, top = _compact(block, layouts, 8 * size)
     target_words = max(INITIAL_WORDS, min(2 * size, MAX_GROWTH_WORDS), 2 * (top + free_words))
     most = block.limit if top + free_words <= block.limit else block.limit + RESERVE_WORDS
@@ -47,7 +47,8 @@ def collect(block: Block, layouts: Layouts, free_words: int = 0) -> None:
 def compact(block: Block, layouts: Layouts) -> None:
     """Compact the block with little spare space, before a migration.
 
-    Skipped if it is one packet and no larger than without garbage: most visits leave none.
+    The block is not compacted if it is one packet and no larger than without garbage: most visits leave no
+    garbage.
     """
     if block.packed == block.top <= SMALL_BLOCK_WORDS:
         return
@@ -58,7 +59,7 @@ def compact(block: Block, layouts: Layouts) -> None:
 def _compact(block: Block, layouts: Layouts, least: int = 0) -> tuple[Buffer, int]:
     """A copy of the block with live data only, and its top. Destroys the block's own bytes.
 
-    It has space for `least` bytes, and the header of this version, with new words 0.
+    The copy has space for `least` bytes, and the header of this version, in which new words are 0.
     """
     old = block.w
     data = block.space.allocate(max(least, 8 * (block.top + HEADER_WORDS - block.heap)))
@@ -90,7 +91,7 @@ def _copy(old: memoryview[int], new: memoryview[int], layouts: Layouts) -> int:
             if head < 0:
                 new[scan + offset] = -head
                 if is_growable:
-                    # Only in a block that no engine made do two growable arrays share their elements.
+                    # Two growable arrays share their elements only in a block that no engine has made.
                     new[scan + GROWABLE_LENGTH] = min(new[scan + GROWABLE_LENGTH], (new[-head] >> 32) - 1)
                 continue
             size = head >> 32

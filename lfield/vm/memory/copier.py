@@ -7,7 +7,7 @@ from lfield.vm.memory.layout import Layouts
 
 
 def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) -> list[int]:
-    """Copy everything reachable from `roots`, except uncopied references; returns the copied references.
+    """Copy all objects reachable from `roots`, except uncopied references; returns the copied references.
 
     One call preserves aliases among all its roots. Raises HeapFull with the words needed, before any write.
     Other words are copied unchanged, so both blocks must be of the same program.
@@ -43,7 +43,7 @@ def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) 
 
 
 def _closure(source: Block, roots: list[int], layouts: Layouts) -> tuple[list[int], int]:
-    """Everything reachable, in order of discovery, and its size in words."""
+    """All reachable objects, in order of discovery, and their size in words."""
     w = source.w
     visited: set[int] = {0}
     order: list[int] = []

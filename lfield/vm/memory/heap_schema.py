@@ -53,7 +53,7 @@ class HeapSchema:
         #: By type, the target of its references; None for types without references.
         self.of_type = [self._expected(i) for i in range(len(core.types))]
         #: By the lower half of a header: the size (0: any), and the targets of references; arrays of
-        #: references have no such row.
+        #: references have no such entry.
         self.sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS, layout.TICKET: TICKET_WORDS}
         self.expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
         self.expects[layout.TICKET] = tuple(_TICKET_EXPECTS.items())
@@ -99,7 +99,7 @@ class HeapSchema:
         return expected
 
     def is_kind(self, found: int, expected: int) -> bool:
-        """Whether a target is of a kind, or an object of a subclass of one."""
+        """Whether a target is of a kind, or is an object of a subclass of the class `expected`."""
         if expected == SENTINEL:
             return found == layout.TICKET
         if expected in _KINDS:
@@ -111,7 +111,7 @@ class HeapSchema:
         )
 
     def _expected(self, kind: int) -> int | None:
-        """The expected header half for references of a type, None for types that hold none."""
+        """The expected header half for references of a type, None for types without references."""
         record = self.program.core.types[kind]
         if record.kind not in REFERENCES:
             return None

@@ -1,9 +1,9 @@
-"""Layout of a block: its header, and the words of everything on its heap.
+"""Layout of a block: its header, and the words of each heap object.
 
-A block is one contiguous run of little-endian 64-bit words (chapter V, Memory Management). A reference is
-the index of a word from the start of the block; 0 is null. Word 0 of everything on the heap is its header:
-kind in bits 0-7, record index in bits 8-31, size in words (header included) in bits 32-62. While the
-collector works, a negative header is the negated new place of a moved object.
+A block is one contiguous run of little-endian 64-bit words (chapter V, Memory Management). A reference is the
+index of a word from the start of the block; 0 is null. Word 0 of each heap object is its header: kind in bits
+0-7, record index in bits 8-31, size in words (header included) in bits 32-62. While the collector works, a
+negative header is the negated new place of a moved object.
 
     OBJECT   class index     fields
     ARRAY    type index      elements
@@ -23,9 +23,9 @@ from lfield.bytecode.program import GROWABLE as GROWABLE_TYPE
 
 MAGIC = int.from_bytes(b"LBLK", "little")
 VERSION = 3
-#: Blocks of lfield 0.3, inside its dumps: a proxy has no START.
+#: The version of blocks in dumps of lfield 0.3, whose proxies have no START.
 OLD_VERSION = 1
-#: Blocks from before tickets and time limits: only read from journals.
+#: The version of blocks without tickets and time limits, which are only read from journals.
 EARLIER_VERSION = 2
 
 # The block's header, by word.
@@ -82,14 +82,14 @@ THREAD_REFERENCES = (THREAD_FRAME, THREAD_NEXT)
 
 # A ticket: one portal call of a `together` (decision 46). CALL is a frame of the portal METHOD, with the
 # arguments in its slots, until the call has started. The result goes to element INDEX of ARRAY. NEXT is the
-# ticket collected before: numbers decrease along it. The ticket with NUMBER 0 is the sentinel of a
-# `together`: it has only NEXT, the newest. One without a PROXY has no CALL either, and is RETURNED: it has
-# the result of an offer that was executed synchronously.
+# ticket collected before: numbers decrease along this chain. The ticket with NUMBER 0 is the sentinel of a
+# `together`: it has only NEXT, the newest. A ticket without a PROXY has no CALL, and is RETURNED: it has the
+# result of an offer that was executed synchronously.
 TICKET_PROXY, TICKET_CALL, TICKET_METHOD, TICKET_ARRAY, TICKET_INDEX, TICKET_STATE = 1, 2, 3, 4, 5, 6
 TICKET_GENERATION, TICKET_NUMBER, TICKET_VALUE, TICKET_THROWN, TICKET_NEXT = 7, 8, 9, 10, 11
 TICKET_WORDS = 12
 TICKET_REFERENCES = (TICKET_PROXY, TICKET_CALL, TICKET_ARRAY, TICKET_THROWN, TICKET_NEXT)
-#: States of a ticket. CANCELLING: it has started, and its host was informed of its cancellation.
+#: States of a ticket. CANCELLING: the call has started, and its host was informed of the cancellation.
 TICKET_COLLECTED, TICKET_STARTED, TICKET_CANCELLING, TICKET_RETURNED = 1, 2, 3, 4
 #: Upper limit of numbers and clocks.
 COUNT_LIMIT = 1 << 62
@@ -100,12 +100,14 @@ STATE_NAMES = ("ready", "parked", "sleeping", "blocked", "in a portal", "waiting
 
 
 def header(kind: int, index: int, words: int) -> int:
-    """The header word of something on the heap."""
+    """The header word of a heap object."""
     return kind | index << 8 | words << 32
 
 
 def elements(w: memoryview[int], place: int) -> tuple[int, int]:
-    """The words of the elements of an array of either kind: the first, and the one after the last."""
+    """The words of the elements of an array of either kind: the first word, and the word after the
+    last one.
+    """
     if w[place] & 0xFF == GROWABLE:
         first = w[place + GROWABLE_ARRAY] + 1
         return first, first + w[place + GROWABLE_LENGTH]
@@ -141,9 +143,10 @@ class Layouts:
         ]
 
         #: By the lower half of a header: the reference that is not copied to another block: the suppressed
-        #: exceptions of a `together`. It may refer to objects that cannot cross a portal.
+        #: exceptions of a `together`. This reference may lead to objects that cannot be passed through a
+        #: portal.
         self.uncopied = {OBJECT | i << 8: 1 + field for i, field in program.others.items()}
-        #: Offsets of the references by the lower half of a header; arrays that hold references are not in it.
+        #: Offsets of the references by the lower half of a header; arrays of references have no entry.
         self.offsets = self._by_half(core.types)
 
     def _by_half(self, types: tuple[TypeRecord, ...]) -> dict[int, tuple[int, ...]]:

@@ -26,7 +26,7 @@ from lfield.vm.memory.layout import (
     Layouts,
 )
 
-#: Maximum instructions of a basic block: liveness inside one needs a pass over it.
+#: Maximum instructions of a basic block: liveness inside a block needs a pass over it.
 MAX_BLOCK_LENGTH = 64
 #: Number of cached positions, the most recently used.
 CACHE_SIZE = 256
@@ -46,7 +46,9 @@ class Liveness:
         self._dead = lru_cache(CACHE_SIZE)(self._find_dead)
 
     def clear_dead(self, block: Block) -> None:
-        """Set every reference that no frame will read again to null, except the object's own."""
+        """Set every reference that no frame will read again to null, except the reference to the object
+        itself.
+        """
         w = block.w
         thread = w[W_THREADS]
         while thread:
@@ -63,7 +65,7 @@ class Liveness:
         slots = self._methods.get(method)
         if slots is None:
             slots = self._methods[method] = LiveSlots(self._program, method)
-        # A callee may also throw: then the handlers around its call run.
+        # If a callee throws, the handlers around its call run.
         live = slots.live_at(pc) | (slots.live_in_handlers(pc - 1) if inside_call else 0)
         references = self._layouts.frame_references[method]
         return tuple(at for at in references if at > FRAME_SLOTS and not live >> at - FRAME_SLOTS & 1)
@@ -113,7 +115,7 @@ class LiveSlots:
         return Node(reads, [*edges, Edge(self._handler_nodes[block], _ALL)])
 
     def _handler(self, handler: Handler) -> Edge:
-        """A handler reads the slots of its target, except the one of the exception."""
+        """The node of a handler, which reads the slots of its target, except the slot of the exception."""
         return Edge(self._at(handler.target), ~(1 << handler.slot))
 
     def _successors(self, block: int) -> list[int]:
@@ -123,7 +125,7 @@ class LiveSlots:
         return following if last.op in _ENDS else [*following, block + 1]
 
     def _through(self, start: int, end: int) -> tuple[int, int]:
-        """Slots read before being written by the instructions, and slots not written by them."""
+        """Slots that the instructions read before they write them, and slots that they do not write."""
         reads, unwritten = 0, _ALL
         for pc in range(end - 1, start - 1, -1):
             read, written = _reads_and_writes(self._quads[pc])
@@ -144,7 +146,9 @@ def _reads_and_writes(quad: Quad) -> tuple[int, int]:
 
 
 def _leaders(record: MethodRecord, handlers: Sequence[Handler], quads: Sequence[Quad]) -> list[int]:
-    """Starts of the basic blocks of a method: no jump leads into one, no handler starts or ends in one."""
+    """Starts of the basic blocks of a method: no jump leads into a block, no handler starts or ends inside
+    one.
+    """
     found = {record.entry, record.end}
     for handler in handlers:
         found |= {handler.start, handler.end, handler.target}

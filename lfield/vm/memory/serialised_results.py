@@ -1,7 +1,7 @@
 """Serialised results of pending calls: a value or exception as bytes until it is fetched (decision 46).
 
-A plain value is its word. Anything else is a deep copy in the image of a small block, whose root is the word
-of an agent's object.
+A plain value is serialised as its word. Any other value is a deep copy in the image of a small block, whose
+root is the word of an agent's object.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from lfield.vm.memory.block_allocator import HEAP_ALLOCATOR, BlockAllocator
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import HEADER_WORDS, W_SELF, Layouts
 
-#: Bytes of a plain one.
+#: The size of a plain result in bytes.
 WORD_SIZE = 8
 
 
 def serialise_word(word: int) -> bytes:
-    """A value that is one word; also null and no value."""
+    """Serialise a value of one word; also null and no value."""
     return word.to_bytes(WORD_SIZE, "little", signed=True)
 
 
 def serialise_object(source: Block, place: int, digest: bytes, layouts: Layouts) -> bytes:
-    """The object at `place`; `digest` is of the program."""
+    """Serialise the object at `place`; `digest` is the digest of the program."""
     return serialise_built(digest, lambda block: deep_copy(source, [place], block, layouts)[0], source.space)
 
 
 def serialise_built(
     digest: bytes, make: Callable[[Block], int], space: BlockAllocator = HEAP_ALLOCATOR
 ) -> bytes:
-    """An object that `make` creates in the block it is given; `make` may raise HeapFull.
+    """Serialise an object that `make` creates in the block passed to it; `make` may raise HeapFull.
 
-    The block's bytes are from `space`: preferably that of the source block.
+    The bytes of this block are from `space`, preferably the space of the source block.
     """
     words = 0
     while True:
@@ -44,7 +44,7 @@ def serialise_built(
             block.w[W_SELF] = make(block)
             return bytes(block.image())
         except HeapFull as full:
-            # Twice the shortage, since it may consist of many small objects.
+            # Twice the missing words, since the object may consist of many small ones.
             words = 2 * block.missing_words(HEADER_WORDS, full)
 
 

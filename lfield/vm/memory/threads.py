@@ -57,7 +57,7 @@ def place_of(block: Block, identity: int) -> int:
 
 
 def only_thread(block: Block) -> int:
-    """The id of the thread of a coordinator, which has one."""
+    """The id of the thread of a coordinator, which has exactly one."""
     w = block.w
     return w[w[layout.W_THREADS] + THREAD_ID]
 
@@ -91,7 +91,9 @@ def unlink(block: Block, identity: int) -> None:
 
 
 def image_without_states(block: Block) -> bytes:
-    """The block without the states of its threads: equal if a program sees no difference."""
+    """The block without the states of its threads: two of them are equal if a program cannot detect a
+    difference.
+    """
     w = block.w
     words = [place + THREAD_STATE for place in block.index_threads().values()]
     states = [w[word] for word in words]

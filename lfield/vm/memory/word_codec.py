@@ -26,7 +26,7 @@ from lfield.vm.memory.layout import OBJECT, Layouts, elements
 #: Maximum length of the message of a built-in exception in characters, and its words.
 MESSAGE_LENGTH = 1000
 EXCEPTION_WORDS = 16 + MESSAGE_LENGTH // 8
-#: Characters shown of a value of the wrong type.
+#: The number of shown characters of a value of the wrong type.
 MAX_SHOWN = 100
 _WORD, _INT = struct.Struct("<q").pack, struct.Struct("<q").unpack
 _REAL, _FLOAT = struct.Struct("<d").pack, struct.Struct("<d").unpack
@@ -37,7 +37,7 @@ def real_from_bits(word: int) -> float:
     return float(_FLOAT(_WORD(word))[0])
 
 
-#: The bits of every NaN in L; the four operations leave them open (decision 58).
+#: The bits of every NaN in L, which the four operations do not determine (decision 58).
 NAN_WORD = 0x7FF8 << 48
 NAN = real_from_bits(NAN_WORD)
 
@@ -53,7 +53,9 @@ def bits_of_real(value: float) -> int:
 
 
 def real_text(value: float) -> str:
-    """A real as L writes it: the shortest digits that read back the same, always with a point or exponent."""
+    """A real as L writes it: the shortest digits that are parsed to the same real, always with a point or
+    exponent.
+    """
     if math.isnan(value) or math.isinf(value):
         return str(value)
     return repr(value)
@@ -101,7 +103,7 @@ def encode_device_value(block: Block, program: Program, kind: int, value: Device
 
 
 def _array_for(block: Block, program: Program, kind: int, values: Sequence[object]) -> int | None:
-    """An array of numbers on the heap, None if one has another type. Raises HeapFull."""
+    """An array of numbers on the heap, None if a value has another type. Raises HeapFull."""
     core = program.core
     of = core.types[core.element(kind)].kind
     words = [word for value in values if (word := _number(of, value)) is not None]

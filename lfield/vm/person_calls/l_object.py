@@ -11,8 +11,8 @@ SHOWN_DEPTH, SHOWN_ELEMENTS = 4, 10
 class LObject:
     """An object of a class of the program: `LObject("Point", x=1.0, y=2.0)`, with fields as attributes.
 
-    Immutable. Two are equal when class and fields are, including cycles. A field whose name is not a valid or
-    free Python attribute is in `fields`.
+    Immutable. Two objects are equal if their classes and fields are, including cycles. A field whose name is
+    not a valid or free Python attribute is only in `fields`.
     """
 
     __slots__ = ("class_name", "fields")
@@ -25,7 +25,7 @@ class LObject:
         object.__setattr__(self, "fields", fields)
 
     def __getattr__(self, name: str) -> object:
-        # Copying an object accesses attributes before it has fields.
+        # A copy operation accesses attributes before the object has fields.
         if name in LObject.__slots__ or name not in self.fields:
             raise AttributeError(name)
         return self.fields[name]
@@ -60,8 +60,8 @@ def _shown(value: object, depth: int) -> str:
 
 
 def _same(one: object, other: object) -> bool:
-    """Whether two values are equal. Pairs under comparison count as equal, which handles cycles; works at any
-    depth.
+    """Whether two values are equal. Pairs under comparison count as equal, because of cycles. The depth is
+    not limited.
     """
     pairs, visited = [(one, other)], set[tuple[int, int]]()
     while pairs:

@@ -1,7 +1,7 @@
 """Portal calls of persons in the resources of one host: arguments from values, results as values.
 
 A call is a `PendingCall` whose caller is not an agent: cancellation, the end of its resource, events and
-reservations treat it as one of a `together`. Its end is reported by `HostInterface.on_call_completed`.
+reservations treat it as a call of a `together`. Its end is reported by `HostInterface.on_call_completed`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from lfield.vm.scheduler import Scheduler
 
 
 class PortalMismatch(Exception):
-    """No portal of that name, or none for these arguments; `has_portal` distinguishes the two."""
+    """No portal has this name, or no portal of this name accepts these arguments; `has_portal` distinguishes
+    the two.
+    """
 
     def __init__(self, message: str, *, has_portal: bool) -> None:
         super().__init__(message)
@@ -48,7 +50,7 @@ class PersonPortals:
     ) -> tuple[int, Sequence[EncodedValue]]:
         """The portal (by index) for these arguments, and the arguments. Raises PortalMismatch.
 
-        Of several that fit, that with the fewest integers for reals.
+        Of several matching portals, the one with the fewest integers for reals is selected.
         """
         named = self._portals.get((resource.block.w[W_CLASS], portal), ())
         fitting: list[tuple[int, int, list[EncodedValue]]] = []
@@ -95,7 +97,7 @@ class PersonPortals:
     def start(
         self, call: PendingCall, resource: Agent, method: int, arguments: Sequence[EncodedValue]
     ) -> None:
-        """Start a portal for a call; it runs at the next `run`. Raises Trap at a limit."""
+        """Start a portal for a call; the portal runs at the next `run`. Raises Trap at a limit."""
         scheduler, limit = self._scheduler, resource.limits.threads
         if count(resource.block) >= limit:
             raise Trap("LimitException", f"{resource.id} already serves its limit of {limit} threads")
@@ -116,7 +118,7 @@ class PersonPortals:
             resource.waiting.append((resource, served))
 
     def on_completed(self, call: PendingCall) -> None:
-        """The host has the end of a call."""
+        """The host has processed the end of a call."""
         self._running.pop(call.call, None)
 
     def cancel(self, call: PendingCall, reason: str) -> None:
@@ -154,5 +156,5 @@ def _block(image: bytes) -> Block:
     return Block(bytearray(image), words, words)
 
 
-#: For values that are one word.
+#: The encoding of values of one word.
 _EMPTY = Block(bytearray(8), 1, 1)

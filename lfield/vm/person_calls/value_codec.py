@@ -1,7 +1,7 @@
 """Values of portal calls as msgpack bytes: numbers, texts, lists, maps, and objects as an extension type.
 
 Values are trees: the copies of an object that occurs twice are two objects. Depth and number are limited, so
-bytes of a peer cost a bounded amount of work.
+the decoding of a peer's bytes takes a bounded time.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class _Encoding:
         self._left = MAX_VALUES
 
     def plain(self, value: object, depth: int) -> object:
-        """The value in types that msgpack has. Raises UnsendableValue."""
+        """The value in types of msgpack. Raises UnsendableValue."""
         self._left -= 1
         if depth > MAX_DEPTH:
             raise UnsendableValue(f"values are nested more than {MAX_DEPTH} deep, or contain themselves")

@@ -9,7 +9,7 @@
     an object               an LObject
     null, and nothing       None
 
-Proxies cannot be passed to portals. Aliases and cycles are preserved; any depth works.
+Proxies cannot be passed to portals. Aliases and cycles are preserved, and the depth is not limited.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ MAX_INT_AS_REAL = 1 << 1000
 
 
 class Mismatch(Exception):
-    """A Python value that does not match an L type: `expected` is the type as in L, `problem` what is
-    wrong.
+    """A Python value that does not match an L type: `expected` is the type as in L, `problem` the problem of
+    the value.
     """
 
     def __init__(self, expected: str, problem: str) -> None:
@@ -115,7 +115,7 @@ class _Reader:
         return self._made[place]
 
     def _new(self, head: int) -> LObject | list[object] | dict[object, object]:
-        """What an array, a map or an object becomes, still empty."""
+        """The empty Python value for an array, a map or an object."""
         if head & 0xFF in layout.ARRAYS_ON_HEAP:
             return []
         index = head >> 8 & 0xFFFFFF
@@ -153,7 +153,7 @@ def own_fields(program: Program, index: int) -> list[tuple[int, FieldRecord]]:
 class EncodedValue:
     """A Python value as an L type (by index), in its own block until `put` copies it.
 
-    Raises Mismatch when it has another type.
+    Raises Mismatch if the value has another type.
     """
 
     def __init__(self, program: Program, kind: int, value: object) -> None:
@@ -169,7 +169,7 @@ class EncodedValue:
                 words = 2 * words + full.words
 
     def put(self, block: Block) -> int:
-        """Copies it into a block and returns its word; raises HeapFull before it writes anything."""
+        """Copy the value into a block, and return its word. Raises HeapFull before any write."""
         if not self._refers or not self._cell:
             return self._cell
         return deep_copy(self._block, [self._cell], block, self._layouts)[0]
@@ -183,7 +183,7 @@ class _Writer:
         #: Places of created objects, by identity of the Python object and type.
         self._made: dict[tuple[int, int], int] = {}
         self._empty: list[tuple[int, list[tuple[int, int, object]]]] = []
-        #: Lists made here: an identity in `_made` must not be used again.
+        #: Lists made by this object, which are kept so that an identity in `_made` is not used again.
         self._kept: list[object] = []
 
     def write(self, kind: int, value: object) -> int:
@@ -191,7 +191,7 @@ class _Writer:
         while self._empty:
             place, parts = self._empty.pop()
             for offset, of, part in parts:
-                # First the word, which may need allocation: the block's views are then invalid.
+                # The word is first, because it may need an allocation, which invalidates the block's views.
                 made = self._cell(of, part)
                 self._block.w[place + offset] = made
         return word
@@ -238,7 +238,7 @@ class _Writer:
         return self._made[key]
 
     def _map(self, kind: int, value: dict[object, object]) -> int:
-        """A map with keys and values only: L adds the rest when it first searches."""
+        """A map with keys and values only: L adds the rest at the first search."""
         key = id(value), kind
         if key not in self._made:
             index = self._program.core.types[kind].of

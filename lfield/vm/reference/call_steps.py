@@ -33,12 +33,12 @@ from lfield.vm.memory.layout import (
     THREAD_ID,
 )
 
-#: No instruction: the engine exits with `Registers.exit`.
+#: A number that is no instruction: the engine exits with `Registers.exit`.
 LEAVE = -1
 
 
 class Registers:
-    """Mirrors of the block during one run; `slots` is the word of slot 0 of the frame."""
+    """Copies of data of the block during one run; `slots` is the word of slot 0 of the frame."""
 
     __slots__ = (
         "block",
@@ -73,20 +73,20 @@ class Registers:
     #: One item per remaining instruction of the budget.
     instructions: Iterator[None]
     limits: AgentLimits
-    #: The agent's readings by device call, None where the host must be queried.
+    #: The agent's readings by device call, None if the host must be queried.
     readings: Sequence[Reading | None]
-    #: Whether this run has read one.
+    #: Whether this run has read a reading.
     has_read_external: bool
 
     def __init__(self, program: Program, class_names: list[str], now: Callable[[], float]) -> None:
-        #: Number of built-in classes, which come first.
+        #: The number of built-in classes, which have the lowest indexes.
         self.builtins = program.builtins
         #: By class, the field with the exceptions of other calls of a `together`.
         self.others = program.others
         self.class_names = class_names
         #: By type, the type of the ARRAY with the elements of an array.
         self.plain_arrays = [program.core.plain_array(i) for i in range(len(program.core.types))]
-        #: The time that judges readings.
+        #: The clock that determines the validity of readings.
         self.now = now
 
     def load(
@@ -178,7 +178,7 @@ def enter(synchronized: bool, after: int) -> Step:
 
 
 def release(w: memoryview[int]) -> None:
-    """Release the monitor once; it is free after as many releases as acquisitions."""
+    """Release the monitor once; the monitor is free after as many releases as acquisitions."""
     w[layout.W_ENTRIES] -= 1
     if not w[layout.W_ENTRIES]:
         w[layout.W_OWNER] = 0

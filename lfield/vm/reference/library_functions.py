@@ -105,7 +105,7 @@ def _index_of(m: Registers, place: int, needle: int) -> int:
 
 
 def _f2i(m: Registers, value: float) -> int:
-    # 2^63 is exact as a real; anything not below it (and NaN) does not fit an int.
+    # 2^63 is exact as a real; a real that is not below it, or NaN, does not fit an int.
     if not -9223372036854775808.0 <= value < 9223372036854775808.0:
         raise Trap("ConversionException", f"{value!r} does not fit an int")
     return int(value)
@@ -152,7 +152,7 @@ def _exception_text(field: int) -> Function:
             raise null_use("exception")
         if m.w[place] >> 8 & 0xFFFFFF < m.builtins:
             return m.w[place + 1 + field] or m.block.new_string("")
-        # An object of the program's own class: only its name is shown.
+        # For an object of the program's own class only the name of the class is shown.
         return m.block.new_string(_class_name(m, place) if field == MESSAGE else "")
 
     return get
@@ -173,7 +173,7 @@ def _exception_others(m: Registers, place: int) -> int:
 
 
 def growable_others(kind: int) -> Function:
-    """`exc_others` in a program whose arrays of exceptions grow: a copy of that type."""
+    """`exc_others` in a program whose arrays of exceptions grow: a copy of this type."""
 
     def get(m: Registers, place: int) -> int:
         if not place:

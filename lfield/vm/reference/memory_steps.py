@@ -129,7 +129,7 @@ def check_length(m: Registers, length: int) -> None:
 
 
 def new_array(a: int, record: int, c: int | None, constant: int, after: int) -> Step:
-    """`newarray`; an array that grows has its elements in one of another type."""
+    """`newarray`; a growable array has its elements in an array of another type."""
 
     def step(m: Registers) -> int:
         length = constant if c is None else m.w[m.slots + c]

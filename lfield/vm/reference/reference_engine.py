@@ -64,7 +64,8 @@ class ReferenceEngine:
     ) -> EngineExit:
         """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
 
-        With `stops`, at least one instruction is executed, and then none at a stop.
+        With `stops`, at least one instruction is executed; after that, the run ends before an instruction in
+        `stops`.
 
         On return, frame and pc in the block are where the thread will continue: after completed
         instructions, or at the instruction (the group) that could not be executed here.
@@ -104,7 +105,7 @@ class ReferenceEngine:
         return m.exit
 
     def _run_steps(self, m: Registers, pc: int, stops: Container[int]) -> int:
-        """Run steps until one exits, a stop is reached, or the budget is used up. Returns the position."""
+        """Run steps until a step exits, a stop is reached, or the budget is used up. Returns the position."""
         steps = self.prepared.steps
         for _ in m.instructions:
             m.locate(pc)

@@ -1,4 +1,4 @@
-"""Compiler from quads to steps, once per program, so that running decodes nothing."""
+"""Compiler from quads to steps, once per program, so that no decoding is needed at run time."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].co
 
 
 class HostCallSite(Struct, frozen=True):
-    """A host call group: its own operand, its arguments, and those that must not be null."""
+    """A host call group: its own operand, its arguments, and the arguments that must not be null."""
 
     op: int
     operand: int
@@ -38,7 +38,8 @@ class HostCallSite(Struct, frozen=True):
 
 
 class PreparedProgram(Struct, frozen=True):
-    """A program as the engine runs it: a step per instruction, and its groups by first instruction.
+    """A program in the form that the engine runs: a step per instruction, and its groups by first
+    instruction.
 
     `host_calls` are the groups that always exit, whether or not there are readings.
     """
@@ -175,7 +176,7 @@ class _Preparer:
         return call_steps.leave(result, words, method.synchronized, self.destinations)
 
     def no_return(self, method: MethodRecord, pc: int) -> Step:
-        """The trap at the end of a method with a result; a program of 0.3 has no class for it."""
+        """The trap at the end of a method with a result; a program of 0.3 has no class for this exception."""
         kind = "MissingReturnException"
         known = kind in (record.name for record in self.core.classes[: self.core.builtins])
         file, line = self.program.line(self.quads[method.entry].a, pc)

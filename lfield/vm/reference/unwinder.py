@@ -1,7 +1,7 @@
 """Exception unwinding: finds the handler for a thrown object, frame by frame.
 
-A `finally` handles anything, a `catch` objects of its class, except inside a `within` whose limit has
-expired. Code of a `finally` still runs completely, including its own catches.
+A `finally` handles any object, a `catch` handles objects of its class, except inside a `within` whose limit
+has expired. Code of a `finally` still runs completely, including its own catches.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def rows_of(block: Block, program: Program, thread: int) -> Iterator[Row]:
     w = block.w
     pc = w[thread + THREAD_PC]
     if w[thread + THREAD_STATE] in (SLEEPING, PARKED):
-        # It is already after its instruction.
+        # The thread is already positioned after its instruction.
         pc -= 1
     return rows_around(block, program, w[thread + THREAD_FRAME], pc)
 
@@ -57,13 +57,13 @@ def rows_around(block: Block, program: Program, frame: int, pc: int) -> Iterator
         for handler in program.core.methods[w[frame] >> 8 & 0xFFFFFF].handlers:
             if handler.start <= pc < handler.end:
                 yield frame, handler
-        # A caller is after its call; the call is the previous instruction.
+        # A caller is positioned after its call; the call is the previous instruction.
         pc = w[frame + FRAME_RETURN] - 1
         frame = w[frame + FRAME_CALLER]
 
 
 def find_handler(block: Block, program: Program, frame: int, pc: int, thrown: int) -> Row | None:
-    """The frame and handler for the object at `thrown`, or None. Changes nothing."""
+    """The frame and handler for the object at `thrown`, or None. Without side effects."""
     head = block.w[thrown]
     kinds = program.kinds[head >> 8 & 0xFFFFFF if head & 0xFF == OBJECT else 0]
     catch: Row | None = None  # the innermost match, while a limit around it may have expired
@@ -90,8 +90,8 @@ def find_handler(block: Block, program: Program, frame: int, pc: int, thrown: in
 def stop_limit(block: Block, program: Program) -> int:
     """The word with the end of the limit around the `init` of a coordinator that may be stopped; 0 for none.
 
-    The compiler puts it there if the program stops any coordinator, so it is the outermost limit. A stop sets
-    its end to the present time: from then on it is as any limit that has expired.
+    The compiler generates this limit, as the outermost one, if the program stops any coordinator. A stop sets
+    the end to the present time: from then on this limit acts like any expired limit.
     """
     if not program.has_stops:
         return 0
@@ -103,7 +103,7 @@ def stop_limit(block: Block, program: Program) -> int:
 
 
 def is_of_stop(block: Block, program: Program, thrown: int) -> bool:
-    """Whether an exception that a coordinator does not catch is that of a stop."""
+    """Whether an exception that a coordinator does not catch is the exception of a stop."""
     word, w = stop_limit(block, program), block.w
     return bool(word) and w[word] < NO_LIMIT and w[thrown] & 0xFFFFFFFF == OBJECT | _TIME_LIMIT << 8
 
@@ -127,7 +127,7 @@ def unwind(
 def _keep_trace(block: Block, program: Program, frame: int, pc: int, target: int, thrown: int) -> None:
     """Record the origin of an object before a `finally` rethrows it, if the heap permits.
 
-    Only built-in exceptions have that field.
+    Only built-in exceptions have a field for it.
     """
     w = block.w
     if w[thrown] >> 8 & 0xFFFFFF >= program.builtins:

@@ -1,8 +1,8 @@
 """Reservations of coordinators, read from the blocks around their positions (decision 53).
 
 An array in a slot of the frame alternates members of the team and reservation numbers, each member once, in
-the global order of acquisition. The number is 0 before it is granted, and stays 0 if an outer block has the
-resource. A row of the method gives the instructions covered. There is no other record of a reservation.
+the global order of acquisition. The number is 0 before the grant, and stays 0 if an outer block has the
+resource. A row of the method gives the covered instructions. There is no other record of a reservation.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from lfield.vm.reference.unwinder import rows_of
 
 
 class ReservationEntry(NamedTuple):
-    """One resource of a `reserve`: its number (0: not granted), and the word of the block that has it."""
+    """One resource of a `reserve`: its number (0: not granted), and the word of the block that contains the
+    number.
+    """
 
     resource: TeamMember
     number: int
@@ -45,7 +47,7 @@ class HeldReservations:
         return _number(agent.block.w, self.enclosing_arrays(agent), resource)
 
     def next_ungranted(self, agent: Agent) -> ReservationEntry | None:
-        """The next resource to acquire for a coordinator at `take`; None when it has all."""
+        """The next resource to acquire for a coordinator at `take`; None if it has all."""
         w = agent.block.w
         own, *outer = list(self.enclosing_arrays(agent)) or [0]
         numbers = w[own + 2 : own + (w[own] >> 32) : 2].tolist() if own else []
@@ -73,7 +75,7 @@ class HeldReservations:
                 yield array
 
     def entries(self, agent: Agent, array: int, first: int = 0) -> Iterator[ReservationEntry]:
-        """The entries of an array, from the one at `first` on.
+        """The entries of an array, from the entry at `first` on.
 
         A program of a foreign compiler may have arbitrary content in it.
         """
@@ -86,7 +88,9 @@ class HeldReservations:
 
 
 def _number(w: memoryview[int], arrays: Iterable[int], resource: TeamMember) -> int:
-    """The number of a resource in some arrays, 0 for none. Fast, since each call needs it."""
+    """The number of a resource in some arrays, 0 for none. The function is fast, because each call
+    needs it.
+    """
     for array in arrays:
         members = w[array + 1 : array + (w[array] >> 32) - 1 : 2].tolist()
         if resource.number in members:

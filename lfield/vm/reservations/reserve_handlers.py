@@ -68,7 +68,7 @@ class ReserveHandlers:
         return self._held_reservations.in_order(found)
 
     def _parts(self, w: memoryview[int], place: int) -> list[int]:
-        """The elements of an array, none of them null; of an offer its realisations."""
+        """The elements of an array, none of them null; for an offer, its realisations."""
         if w[place] & 0xFF in layout.ARRAYS_ON_HEAP:
             first, end = layout.elements(w, place)
             inner = list(w[first:end])
@@ -78,8 +78,8 @@ class ReserveHandlers:
         inner = [w[place + offset] for offset in self._scheduler.layouts.references(w[place])]
         if w[place] & 0xFF != layout.OBJECT:
             return inner
-        # The first field is the description. An object that is not an offer was made from components, which
-        # are here too.
+        # The first field is the description. An object that is no offer was made from components, which are
+        # fields too.
         offer = w[place] >> 8 & 0xFFFFFF in self._offers
         return [part for part in inner[1:] if part] if offer else []
 
@@ -102,12 +102,14 @@ class ReserveHandlers:
                 return
             agent.resume()
             self._store_number(agent, number)
-        # Its state on disk precedes its actions from here on.
+        # The coordinator's state on disk is outdated from here on.
         agent.invalidate_image()
         self._scheduler.complete_at_once(agent, thread)
 
     def _acquire(self, agent: Agent, entry: ReservationEntry) -> int:
-        """The number granted by this host; 0 for not yet, with the coordinator suspended. Raises Trap."""
+        """The number granted by this host; 0 if it is not granted yet, with the coordinator suspended. Raises
+        Trap.
+        """
         portal_calls.live_resource(self._scheduler, entry.resource)
         if why := self._barred_reason(agent, entry.resource):
             raise Trap("AccessException", why)
@@ -117,7 +119,9 @@ class ReserveHandlers:
         )
 
     def _barred_reason(self, agent: Agent, resource: TeamMember) -> str:
-        """Why a coordinator may not reserve a resource: it may call nothing of it; '' if it may."""
+        """The reason why a coordinator that may call no portal of a resource may not reserve it; '' if it
+        may.
+        """
         rules, methods = self._scheduler.hooks.rules, self._scheduler.program.core.methods
         if rules is None:
             return ""
@@ -129,7 +133,7 @@ class ReserveHandlers:
         return f"{resource.id} cannot be reserved by a coordinator that may not call it: {refused[0]}"
 
     def _store_number(self, agent: Agent, number: int) -> None:
-        """Store into the array, which a collection may have moved."""
+        """Store a number in the array, which a collection may have moved."""
         entry = self._held_reservations.next_ungranted(agent)
         assert entry is not None, "it was just acquired"
         agent.block.w[entry.word] = number

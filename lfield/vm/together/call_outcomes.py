@@ -38,7 +38,9 @@ class CallOutcomes:
         self._program = scheduler.program
 
     def fetch(self, agent: Agent, thread: int, number: int) -> PendingCall | None:
-        """Fetch a call that was started here; None when it has returned, else the call to wait for."""
+        """Fetch a call that was started here; None if the call has returned, otherwise the call to
+        wait for.
+        """
         ticket = self._ticket(agent, thread, number)
         key = agent.id, ticket.generation, number
         started = self._scheduler.pending_calls.get(key)
@@ -50,7 +52,8 @@ class CallOutcomes:
         else:
             self._unpack(agent, thread, number, started)
         if started is not None and started.is_expired:
-            # At least this time has passed; during the transfer the coordinator may have counted less.
+            # Set the clock, because at least this time has passed; the coordinator may have counted less
+            # during the transfer.
             self._scheduler.set_clock(agent, max(self._scheduler.clock_of(agent), started.deadline))
             agent.mark_overdue()
         self._scheduler.pending_calls.pop(key, None)
@@ -70,7 +73,9 @@ class CallOutcomes:
         scheduler.run_with_collection(agent, work)
 
     def mark_lost(self, agent: Agent, thread: int, state: int) -> None:
-        """Calls in a state that another start of the coordinator started are lost: its hosts fence them."""
+        """Mark the calls in a state as lost that another start of the coordinator started: their hosts fence
+        them.
+        """
         for ticket in self._itinerary.tickets(agent, thread):
             if ticket.state == state and ticket.generation != agent.generation:
                 name = self._itinerary.name(ticket)
@@ -134,8 +139,9 @@ class CallOutcomes:
         )
 
     def explain(self, agent: Agent, thread: int, late: float) -> None:
-        """Add the outcome of each started call to the exception of a time limit, and by how many seconds the
-        block ends late."""
+        """Add the outcome of each started call to the exception of a time limit, and the delay in seconds of
+        the end of the block.
+        """
         started = [ticket for ticket in self._itinerary.tickets(agent, thread) if ticket.generation]
         what = "; ".join(
             f"{self._itinerary.name(ticket)} {self._outcome_text(agent, ticket)}" for ticket in started
@@ -166,7 +172,9 @@ class CallOutcomes:
         return traceback.describe(agent.block, self._program, thrown)[:2]
 
     def _log_errors(self, agent: Agent, others: list[Ticket]) -> None:
-        """Log the first ones with a line each, and the number of the others; `others()` returns them all."""
+        """Log the first exceptions with a line each, and the number of the other ones; `others()` returns
+        all.
+        """
         for ticket in others[:MAX_LOGGED]:
             name, message = self._class_and_message(agent, ticket.thrown)
             text = f"{name}: {message}" if message else name

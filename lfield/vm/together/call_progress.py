@@ -1,7 +1,7 @@
 """Visits of a coordinator to the hosts of its calls: to start, fetch and cancel them (decision 46).
 
-An instruction does its work on this host, then departs for the next one, or completes. It runs again from its
-start after each hop and each completed call: its progress is in the tickets.
+An instruction does its work on this host, then departs for the next one, or completes. An instruction runs
+again from its start after each hop and each completed call: its progress is in the tickets.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Handler = Callable[[Agent, int, int, list[int]], None]
 
 
 class CallProgress:
-    """What the instructions of `together` and of futures share, for the coordinators of one host."""
+    """Common steps of the instructions of `together` and of futures, for the coordinators of one host."""
 
     def __init__(
         self,
@@ -51,7 +51,9 @@ class CallProgress:
         return run_handler
 
     def are_all_started(self, agent: Agent, thread: int) -> bool:
-        """Whether all collected calls have started; else the coordinator waits, or departs to start one."""
+        """Whether all collected calls have started; otherwise the coordinator waits, or departs to start a
+        call.
+        """
         if not self._starter.start_local_calls(agent, thread):
             return False
         return not self.departs_for(agent, thread, TICKET_COLLECTED)
@@ -62,7 +64,7 @@ class CallProgress:
         return self.departs_to(agent, thread, elsewhere)
 
     def departs_to(self, agent: Agent, thread: int, elsewhere: Sequence[Ticket]) -> bool:
-        """Whether a coordinator departs for the host of some tickets: not if there are none."""
+        """Whether a coordinator departs for the host of some tickets; False without tickets."""
         if not elsewhere:
             return False
         self._scheduler.freeze(agent, thread)
@@ -70,14 +72,14 @@ class CallProgress:
         return True
 
     def running_calls(self, agent: Agent, thread: int, *states: int) -> list[PendingCall]:
-        """Fetch the completed calls here of the tickets in these states; returns those that still run."""
+        """Fetch the completed calls here of the tickets in these states; returns the calls that still run."""
         found = self._itinerary.tickets(agent, thread)
         numbers = [t.number for t in found if t.state in states and self._itinerary.is_here(t)]
         pending = (self._outcomes.fetch(agent, thread, number) for number in numbers)
         return [one for one in pending if one is not None]
 
     def is_waiting_for(self, agent: Agent, thread: int, state: int) -> bool:
-        """Fetch completed calls of the tickets in a state; whether one here is still running."""
+        """Fetch completed calls of the tickets in a state; returns whether a call here is still running."""
         found = self._itinerary.tickets(agent, thread)
         numbers = [t.number for t in found if t.state == state and self._itinerary.is_here(t)]
         for number in numbers:
@@ -89,15 +91,15 @@ class CallProgress:
         return False
 
     def are_all_cancelled(self, agent: Agent, thread: int) -> bool:
-        """Cancel all started calls, host by host, then wait for them; whether all of them have ended.
+        """Cancel all started calls, host by host, then wait for them; returns whether all of them have ended.
 
-        Several other hosts get a message, so that the calls end while the coordinator is on its way.
-        When a time limit around the block has expired, unreachable hosts are not awaited: they know the
-        limit, and end the calls themselves.
+        Several other hosts get a message, so that the calls end while the coordinator is on its way. When a
+        time limit around the block has expired, the coordinator does not wait for unreachable hosts, which
+        know the limit and end the calls themselves.
         """
         for state in (TICKET_STARTED, TICKET_CANCELLING):
             self._outcomes.mark_lost(agent, thread, state)
-        # What has ended is fetched in this visit.
+        # Calls that have ended are fetched in this visit.
         self.running_calls(agent, thread, TICKET_STARTED)
         for ticket in self._itinerary.tickets(agent, thread):
             if ticket.state == TICKET_STARTED and self._itinerary.is_here(ticket):
@@ -112,7 +114,8 @@ class CallProgress:
     def _departs_in_time(self, agent: Agent, thread: int, state: int) -> bool:
         """As `departs_for`, but after the time limit only to hosts that are reachable at once.
 
-        All hosts are asked for a heartbeat together, so silence delays once, however many hosts are silent.
+        Heartbeats are requested from all hosts at the same time, so silent hosts cause only one delay,
+        whatever their number.
         """
         signs = self._scheduler.hooks.liveness
         if signs is None or not self._deadlines.is_block_expired(agent):
@@ -135,15 +138,16 @@ class CallProgress:
         return False
 
     def _next_cancelled(self, agent: Agent, thread: int, state: int) -> list[Ticket]:
-        """The tickets on the next host: a reachable one, if there is one."""
+        """The tickets on the next host, which is a reachable one if there is any."""
         found = self._itinerary.tickets(agent, thread)
         return self._itinerary.tickets_elsewhere(found, state, self._itinerary.cancel_rank)
 
     def _request_cancels(self, agent: Agent, thread: int) -> None:
-        """Ask the other hosts to cancel, if there are several: the coordinator goes to one host at a time.
+        """Ask the other hosts to cancel, if there are several, because the coordinator goes to one host at a
+        time.
 
-        Only once its block at this instruction is on disk, which it is after a hop: a coordinator that is
-        restored from an earlier one has not cancelled anything.
+        The requests are sent only when the block at this instruction is on disk, as after a hop: a
+        coordinator that is restored from an earlier block has not cancelled any call.
         """
         if not agent.is_persisted:
             return

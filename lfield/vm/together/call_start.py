@@ -32,7 +32,7 @@ from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.call_outcomes import CallOutcomes
 from lfield.vm.together.itinerary import Itinerary, Ticket
 
-#: The maximum number of calls of one `together`: each is visited whenever one of them returns.
+#: The maximum number of calls of one `together`: all calls are checked whenever a call returns.
 MAX_CALLS = 256
 
 
@@ -104,8 +104,9 @@ class CallStarter:
         self._outcomes, self._deadlines = outcomes, limits
 
     def start_local_calls(self, agent: Agent, thread: int) -> bool:
-        """Start the calls collected for this host; false: the host does not permit it yet, it is
-        suspended."""
+        """Start the calls collected for this host; false: the host does not permit it yet, and the
+        coordinator is suspended.
+        """
         if not self._is_served(agent, thread):
             return False
         mine = self._local_tickets(agent, thread)
@@ -126,7 +127,7 @@ class CallStarter:
         ]
 
     def _is_served(self, agent: Agent, thread: int) -> bool:
-        """Whether reservations permit all calls to start; a call that they never permit returns."""
+        """Whether reservations permit the start of all calls; a call that they will never permit returns."""
         self._scheduler.set_state(agent, thread, CALLING)
         for number in [ticket.number for ticket in self._local_tickets(agent, thread)]:
             ticket = next(ticket for ticket in self._local_tickets(agent, thread) if ticket.number == number)

@@ -1,11 +1,11 @@
-"""`launch`, `next`, `ended`, `cancel`, `failure`: calls that are begun now and fetched later (decision 102).
+"""`launch`, `next`, `ended`, `cancel`, `failure`: calls that are started now and fetched later (decision
+102).
 
 The ticket of a future is a sentinel with one call. Its result stays in the ticket and in the array of the
-future, so it can be fetched again. Handlers run again from their start, as those of a `together`.
-
-A coordinator that waits for the first of calls on several hosts stays where it is. Their hosts report calls
-that have ended (`HostInterface.watch_calls`): a hint, after which the coordinator goes there and fetches the
-result.
+future, so it can be fetched again. Handlers run again from their start, as those of a `together`. A
+coordinator that waits for the first of calls on several hosts stays on its host. The other hosts report calls
+that have ended (`HostInterface.watch_calls`): a hint, after which the coordinator goes to that host and
+fetches the result.
 """
 
 from __future__ import annotations
@@ -86,20 +86,22 @@ class FutureHandlers:
     # --- results --------------------------------------------------------------------------------------
 
     def _fetch(self, agent: Agent, thread: int) -> list[PendingCall]:
-        """Fetch the calls of this host that have ended; returns those that still run here."""
+        """Fetch the calls of this host that have ended; returns the calls that still run here."""
         for state in _OPEN:
             self._outcomes.mark_lost(agent, thread, state)
         return self._progress.running_calls(agent, thread, *_OPEN)
 
     def _first_returned(self, agent: Agent, thread: int) -> int | None:
-        """The index of the first future whose result is here; -1 if there is no future, None for none yet."""
+        """The index of the first future whose result is here; -1 if there is no future, None if no result is
+        here yet.
+        """
         first = self._itinerary.call_arguments(agent, thread)[0]
         by_element = self._itinerary.tickets_by_element(agent, first)
         found = [i for i, ticket in by_element if ticket.state == TICKET_RETURNED]
         return found[0] if found else None if by_element else -1
 
     def _complete(self, agent: Agent, thread: int, word: int) -> None:
-        """End an instruction that may have fetched results: they go to the arrays of their futures.
+        """End an instruction that may have fetched results, which are stored in the arrays of their futures.
 
         The coordinator's stored image is now older than its next action.
         """
@@ -119,7 +121,7 @@ class FutureHandlers:
     # --- waiting for the first ------------------------------------------------------------------------
 
     def _await_any(self, agent: Agent, thread: int, running: list[PendingCall]) -> None:
-        """Depart for a host where a call has ended, or for the only one; else wait here."""
+        """Depart for a host where a call has ended, or for the only host; otherwise wait here."""
         found = self._itinerary.tickets(agent, thread)
         if self._progress.departs_to(agent, thread, self._itinerary.first_destination(agent, found)):
             return

@@ -39,7 +39,7 @@ VISITED_STATES = {
     "ended": (TICKET_STARTED, TICKET_CANCELLING),
     "cancel": (TICKET_STARTED, TICKET_CANCELLING),
 }
-#: The instructions that cancel calls: nothing but their time limit interrupts them.
+#: The instructions that cancel calls, which only their time limit interrupts.
 CANCELLING_HEADS = ("leave", "cancel")
 
 
@@ -56,12 +56,12 @@ class Ticket:
 
     @property
     def number(self) -> int:
-        """Its number; numbers increase in the order of collection."""
+        """The number of the ticket; numbers increase in the order of collection."""
         return self.w[self.place + TICKET_NUMBER]
 
     @property
     def state(self) -> int:
-        """COLLECTED, STARTED, CANCELLING or RETURNED."""
+        """The state: COLLECTED, STARTED, CANCELLING or RETURNED."""
         return self.w[self.place + TICKET_STATE]
 
     @property
@@ -93,7 +93,7 @@ class Ticket:
 class Itinerary:
     """Reads the tickets of the coordinators on one host (`here`, a number); `team` has all agents.
 
-    Also for coordinators that wait for a portal or a reservation.
+    It also serves coordinators that wait for a portal or a reservation.
     """
 
     def __init__(
@@ -103,7 +103,9 @@ class Itinerary:
         self._program = scheduler.program
 
     def head(self, agent: Agent) -> str:
-        """The instruction at a coordinator's position if it visits hosts for tickets; else ''."""
+        """The instruction at a coordinator's position if this instruction visits hosts for tickets;
+        else ''.
+        """
         name = self._current_head(agent)
         return name if name in VISITED_STATES else ""
 
@@ -127,8 +129,9 @@ class Itinerary:
         return words
 
     def tickets(self, agent: Agent, thread: int) -> list[Ticket]:
-        """The tickets of the `together` at a coordinator's position, in the order of collection, or those of
-        futures."""
+        """The tickets of the `together` at a coordinator's position, in the order of collection, or the
+        tickets of futures.
+        """
         first, w = self.call_arguments(agent, thread)[0], agent.block.w
         if w[first] & 0xFF in layout.ARRAYS_ON_HEAP:
             places = dict.fromkeys(ticket.place for _, ticket in self.tickets_by_element(agent, first))
@@ -153,9 +156,9 @@ class Itinerary:
         ]
 
     def first_destination(self, agent: Agent, tickets: Sequence[Ticket]) -> list[Ticket]:
-        """The tickets on the host to which a coordinator goes that waits for any of these; [] if it stays.
+        """The tickets on the next host of a coordinator that waits for any of these tickets; [] if it stays.
 
-        It goes to a host where a call has ended, or to the only one.
+        It goes to a host where a call has ended, or to the only host.
         """
         open_tickets = [t for t in tickets if t.state in VISITED_STATES["next"]]
         elsewhere = [t for t in open_tickets if not self.is_here(t)]
@@ -171,7 +174,7 @@ class Itinerary:
         return self.tickets(agent, only_thread(agent.block))
 
     def is_here(self, ticket: Ticket) -> bool:
-        """Whether its resource is on this host."""
+        """Whether the resource of the ticket is on this host."""
         return self._team[ticket.member].host == self._here
 
     def resource(self, ticket: Ticket) -> TeamMember:
@@ -206,8 +209,9 @@ class Itinerary:
         return [ticket for ticket in elsewhere if self.resource(ticket).host == host]
 
     def cancel_rank(self, resource: TeamMember) -> float:
-        """The rank of a resource in the order of cancellation: its host may be unreachable, so others are
-        first."""
+        """The rank of a resource in the order of cancellation: its host may be unreachable, so other hosts
+        are first.
+        """
         signs = self._scheduler.hooks.liveness
         return signs.contact_age(resource) if signs is not None else 0.0
 
@@ -229,7 +233,7 @@ class Itinerary:
     def current_target(self, agent: Agent) -> tuple[TeamMember, str] | None:
         """The resource and portal that a suspended coordinator waits for, the first of several.
 
-        The portal is '' where it is reserving the resource.
+        The portal is '' if the coordinator is reserving the resource.
         """
         if self._current_head(agent) == "take":
             entry = self._held_reservations.next_ungranted(agent)
@@ -255,7 +259,9 @@ class Itinerary:
         return next((member for member in self._team if member.id == name), None)
 
     def is_start_made(self, agent: Agent) -> bool:
-        """Whether a coordinator is at a `start` that this host, the home of the other one, has made."""
+        """Whether a coordinator is at a `start` that this host, the home of the other coordinator,
+        has made.
+        """
         if self._current_head(agent) != "seq_start":
             return False
         named, request = self._named_startable(agent), self.call_arguments(agent, only_thread(agent.block))[1]
@@ -263,12 +269,14 @@ class Itinerary:
         return named is not None and named.host == self._here and sequencer.has_started(named, request)
 
     def current_call(self, agent: Agent) -> str:
-        """The same as `resource.portal()`; '' for none."""
+        """The target of `current_target` as `resource.portal()`; '' for none."""
         resource, portal = self.current_target(agent) or (None, "")
         return f"{resource.id}.{portal}()" if resource else ""
 
     def blocked_action(self, agent: Agent) -> str:
-        """What a suspended coordinator is prevented from doing, as the end of a sentence; '' for nothing."""
+        """The action that a suspended coordinator is prevented from, as the end of a sentence; '' for
+        none.
+        """
         if self._current_head(agent) == "take":
             entry = self._held_reservations.next_ungranted(agent)
             return f" before {entry.resource.id} could be reserved" if entry is not None else ""
@@ -290,7 +298,7 @@ class Itinerary:
         return signs is not None and bool(awaited) and signs.is_heartbeat_pending(self.resource(awaited[0]))
 
     def wait_reason(self, agent: Agent) -> str:
-        """Why a suspended coordinator cannot continue at once: it may have left, or is being stored."""
+        """The reason why a suspended coordinator cannot continue at once: it has left or is being stored."""
         called = self.current_target(agent)
         if called is None or called[0].host == self._here:
             return "it was being written to disk"

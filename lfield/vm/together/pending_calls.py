@@ -21,14 +21,14 @@ class PendingCalls:
         self._on_result: Callable[[PendingCall], None] | None = None
 
     def calls(self) -> list[PendingCall]:
-        """Those that were not fetched yet, in the order of their start."""
+        """The calls that were not fetched yet, in the order of their start."""
         return list(self._scheduler.pending_calls.values())
 
     def drain_fetched(self, agent: Agent) -> list[CallKey]:
-        """Those that the coordinator has fetched here since the last call.
+        """The calls that the coordinator has fetched here since the last call of this method.
 
-        The host may delete its records of them when the block with their results is on disk, here or on the
-        next host.
+        The host may delete its records of these calls when the block with their results is on disk, here or
+        on the next host.
         """
         return agent.drain_fetched()
 
@@ -59,13 +59,15 @@ class PendingCalls:
             self._scheduler.pending_calls[pending.key] = pending
 
     def forget(self, keys: Iterable[CallKey]) -> None:
-        """Drop calls that will not be fetched; portals that still run for them continue without a caller."""
+        """Drop calls that will not be fetched; portals that still run for these calls continue without a
+        caller.
+        """
         for key in keys:
             if pending := self._scheduler.pending_calls.pop(key, None):
                 pending.dropped = True
 
     def cancel(self, agent: str, below: int | None, reason: str) -> list[CallKey]:
-        """Cancel and drop the calls of a coordinator's starts before `below` (None: of all).
+        """Cancel and drop the calls of a coordinator's starts before `below` (None: of all starts).
 
         Their portals get a CancelledException with this reason, and their results are dropped. Returns the
         keys of the calls.
@@ -125,7 +127,7 @@ class PendingCalls:
         self._on_result = on_result
 
     def on_ended_elsewhere(self, agent_id: str, generation: int, numbers: Collection[int]) -> None:
-        """Calls that a coordinator waits for here have ended on their host, or that is unreachable."""
+        """Calls that a coordinator waits for here have ended on their host, or this host is unreachable."""
         agent = self._scheduler.agents.get(agent_id)
         if agent is None or agent.generation != generation or not agent.waits_for_any or agent.frozen:
             return
@@ -134,7 +136,7 @@ class PendingCalls:
         self._scheduler.run_queue.push_front(agent, only_thread(agent.block))
 
     def cancel_started(self, agent_id: str, generation: int, numbers: Collection[int]) -> None:
-        """Cancel calls of a coordinator that is on its way here to fetch how they end."""
+        """Cancel calls of a coordinator that is in transit to this host to fetch their outcomes."""
         for number in numbers:
             pending = self._scheduler.pending_calls.get((agent_id, generation, number))
             resource = self._scheduler.agents.get(pending.resource) if pending is not None else None
@@ -142,7 +144,7 @@ class PendingCalls:
                 self._cancellation.cancel_call(resource, pending.call, pending.cancel_reason)
 
     def _report_failures(self, calls: list[PendingCall]) -> None:
-        """Log the failures of calls whose futures were dropped. That they were cancelled is none."""
+        """Log the failures of calls whose futures were dropped. A cancellation is no failure."""
         for pending in calls:
             resource = self._scheduler.agents.get(pending.resource)
             failed = pending.is_future and pending.failure and not pending.failure.startswith(CANCELLED)

@@ -1,8 +1,8 @@
 """`start`, `fetch` and `leave`: a coordinator visits the hosts of its `together` (decision 46).
 
-Each handler does its work on this host, then departs for the next one, or completes. It runs again from its
-start after each hop and each completed call: its progress is in the tickets. At most one visit to a host
-starts its calls, and one fetches them.
+Each handler does its work on this host, then departs for the next one, or completes. A handler runs again
+from its start after each hop and each completed call: its progress is in the tickets. At most one visit to a
+host starts its calls, and at most one fetches their results.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class TogetherHandlers:
         }
 
     def on_failed(self, agent: Agent, thread: int, kind: str, message: str, source: str) -> None:
-        """A suspended coordinator cannot reach what it waits for: its awaited calls return with an exception.
+        """A suspended coordinator cannot reach the awaited calls, which return with an exception.
 
-        Where a resource is reserved by another coordinator (`source`), only the calls of that resource do.
+        If another coordinator has reserved a resource (`source`), only the calls of that resource return.
         """
         tickets = [
             ticket
@@ -135,7 +135,7 @@ class TogetherHandlers:
                     removed = removed or f"index {index} of an array of length {end - first}"
         self._clear(agent, thread)
         if removed:
-            # The array has become shorter since the call began.
+            # The array has become shorter since the call started.
             self._scheduler.throw_builtin(agent, thread, "IndexException", removed)
 
     def _throw(self, agent: Agent, thread: int) -> None:

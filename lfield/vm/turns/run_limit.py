@@ -1,7 +1,7 @@
-"""Limits the duration of one run of a machine, and records where time has cut it.
+"""Limits the duration of one run of a machine, and records the positions at which time has cut it.
 
-How far a run gets within its time depends on the speed of the computer. A replay must stop at the same
-instructions, so it repeats the recorded cuts and does not measure time.
+The number of instructions within this time depends on the speed of the computer. A replay must stop at the
+same instructions, so it repeats the recorded cuts and does not measure time.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ SECONDS_PER_RUN = 0.005
 
 
 class RunCuts(Struct, frozen=True, array_like=True):
-    """Where time has cut a run: after `turns` turns (0: not cut), and the instructions of turns, by number,
-    that an engine ended early."""
+    """The positions at which time has cut a run: after `turns` turns (0: not cut), and the instructions of
+    turns, by number, that an engine ended early.
+    """
 
     turns: int = 0
     budgets: dict[int, int] = {}
@@ -30,27 +31,29 @@ UNCUT = RunCuts()
 class RunLimit:
     """Ends a run after SECONDS_PER_RUN of `stopwatch`, in seconds."""
 
-    #: Budgets of turns by number, that replace those of the machine.
+    #: The budgets of turns, by number, that replace the budget of the machine.
     budgets: Mapping[int, int] = {}
 
     def __init__(self, stopwatch: Callable[[], float]) -> None:
-        #: Read at the start of a run, and after each of its turns.
+        #: The clock, read at the start of a run and after each of its turns.
         self.stopwatch = stopwatch
         self._turns = 0
         self._early: dict[int, int] = {}
-        #: Whether `drain_cuts` has something.
+        #: Whether `drain_cuts` has cuts to return.
         self.has_cuts = False
 
     def on_time_over(self, turns: int) -> None:
-        """A run ends after so many turns because of its duration."""
+        """Record that a run ends after `turns` turns because of its duration."""
         self._turns, self.has_cuts = turns, True
 
     def on_early_end(self, turn: int, executed: int) -> None:
-        """The engine has ended a turn, by number, after that many instructions because of its duration."""
+        """Record that the engine has ended a turn, by number, after `executed` instructions because of its
+        duration.
+        """
         self._early[turn], self.has_cuts = executed, True
 
     def drain_cuts(self) -> RunCuts:
-        """Where time has cut the runs since the last call."""
+        """The cuts by time of the runs since the last call."""
         if not self.has_cuts:
             return UNCUT
         found = RunCuts(self._turns, self._early)
@@ -70,6 +73,6 @@ class ReplayedRunLimit(RunLimit):
         self._reads, self._cut_after, self.budgets = 0, cuts.turns, cuts.budgets
 
     def _read(self) -> float:
-        """Infinite after the last turn of the recorded run."""
+        """The simulated time: infinite after the last turn of the recorded run."""
         self._reads += 1
         return math.inf if self._cut_after and self._reads > self._cut_after else 0.0

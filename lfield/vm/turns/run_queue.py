@@ -1,4 +1,4 @@
-"""Run queue of threads (round robin), with timers of sleeping ones, and alarms."""
+"""Run queue of threads (round robin), with timers of sleeping threads, and alarms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class RunQueue:
         self._clock = clock
         #: Threads that can run; the first is next.
         self.ready: deque[tuple[Agent, int]] = deque()
-        #: Timers of sleeping threads, and alarms: if empty, `pop_due` has nothing to do.
+        #: Timers of sleeping threads, and alarms: if the heap is empty, `pop_due` has no work.
         self.timers: list[tuple[float, int, int, Agent, int]] = []
         self.alarms: list[tuple[float, int, Agent, Callable[[], None]]] = []
         #: The valid timer of each sleeping thread, by number.
@@ -34,14 +34,14 @@ class RunQueue:
         self._streak = 0
 
     def push_back(self, agent: Agent, thread: int) -> None:
-        """The thread is ready, and queued at the end."""
+        """Queue a ready thread at the end."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
         self.ready.append((agent, thread))
 
     def push_front(self, agent: Agent, thread: int) -> None:
-        """The thread is ready, and queued first: its wait was short, or another thread waits for it.
+        """Queue a ready thread at the front: its wait was short, or another thread waits for it.
 
-        After MAX_STREAK such turns in a row all others come first, against starvation.
+        After MAX_STREAK such consecutive turns all other threads run first, to prevent starvation.
         """
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
         self.push_ready_front(agent, thread)
@@ -56,12 +56,13 @@ class RunQueue:
             self.ready.append((agent, thread))
 
     def sleep(self, agent: Agent, thread: int, seconds: float) -> None:
-        """The thread becomes ready after that many seconds."""
+        """Make the thread ready after `seconds` seconds."""
         self.sleep_until(agent, thread, self._clock.monotonic() + seconds)
 
     def sleep_until(self, agent: Agent, thread: int, at: float, rank: int = 0) -> None:
-        """The thread becomes ready at that time. Of threads with one time that with the lowest rank is
-        first."""
+        """Make the thread ready at the time `at`. Of threads with the same time, the thread with the lowest
+        rank is first.
+        """
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = SLEEPING
         self._timed += 1
         self._sleeping[agent, thread] = self._timed
@@ -74,7 +75,7 @@ class RunQueue:
             self.ready.remove((agent, thread))
 
     def set_alarm(self, agent: Agent, seconds: float, ring: Callable[[], None]) -> None:
-        """Set an alarm for an agent after that many seconds, returned by `pop_due`."""
+        """Set an alarm for an agent after `seconds` seconds, which `pop_due` returns."""
         self._timed += 1
         heappush(self.alarms, (self._clock.monotonic() + seconds, self._timed, agent, ring))
 
@@ -87,7 +88,8 @@ class RunQueue:
     def pop_due(self) -> Iterator[tuple[Agent, Callable[[], None]]]:
         """Queue the threads that are due, and return the expired alarms, each once.
 
-        In the order of their times, even if late: a sleep that would have ended after an alarm has not ended.
+        They are in the order of their times, even if late: a sleep that would have ended after an alarm has
+        not ended.
         """
         now = self._clock.monotonic()
         while self.alarms and self.alarms[0][0] <= now:

@@ -1,4 +1,4 @@
-"""Operator input of one host: the lines that were entered, and the threads that wait for one in `read`.
+"""Operator input of one host: the lines that were entered, and the threads that wait for a line in `read`.
 
 A line goes to the thread that has waited longest. Without a waiting thread a few lines are kept for the next
 ones, since the operator or a pipe may be faster than the program. Lines are not stored: a restart of the host
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MAX_LINE = MAX_INPUT
 #: The number of lines that are kept while no thread waits.
 MAX_KEPT = 16
-#: Why a line was not accepted.
+#: The reason why a line was not accepted.
 NO_READER = "{agent} does not wait for a line any more"
 TOO_MANY = f"{MAX_KEPT} lines are kept already, and no agent of this host reads them"
 
@@ -42,7 +42,7 @@ class _Reader(Struct, eq=False):
 
 
 class OperatorInput:
-    """The input of one host. `enter` gives it a line."""
+    """The input of one host. `enter` adds a line."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
@@ -55,14 +55,14 @@ class OperatorInput:
 
     @property
     def waiting_agents(self) -> list[str]:
-        """The agents that wait for a line, in the order in which they get one."""
+        """The agents that wait for a line, in the order in which they get lines."""
         return list(dict.fromkeys(reader.agent.id for reader in self._readers if _is_waiting(reader)))
 
     def enter(self, text: str, *, is_kept: bool, agent: str = "") -> str:
-        """Pass a line to the first waiting thread, of any agent or of that one; without one it is kept, if
-        `is_kept`.
+        """Pass a line to the first waiting thread, of any agent or of `agent`; without a waiting thread the
+        line is kept, if `is_kept`.
 
-        Returns why it was not accepted, '' if it was.
+        Returns the reason why it was not accepted, '' if it was.
         """
         text = text[:MAX_LINE]
         self._drop_ended()
@@ -80,7 +80,7 @@ class OperatorInput:
         return ""
 
     def cancel(self, agent: Agent, thread: int) -> bool:
-        """Remove a thread that waits for a line, whose call is cancelled; False if it waits for none."""
+        """Remove a thread that waits for a line, whose call is cancelled; False if it waits for no line."""
         found = [reader for reader in self._readers if reader.agent is agent and reader.thread == thread]
         for reader in found:
             self._readers.remove(reader)
@@ -88,7 +88,7 @@ class OperatorInput:
         return bool(found)
 
     def _drop_ended(self) -> None:
-        """Forget the threads of agents that have died meanwhile."""
+        """Remove the threads of agents that have died."""
         self._readers = [reader for reader in self._readers if _is_waiting(reader)]
 
     def _report(self) -> None:

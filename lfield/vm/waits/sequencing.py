@@ -1,7 +1,8 @@
-"""`start`, `stop`, `awaitEnd` and `running`: a coordinator visits the home of another one, which decides.
+"""`start`, `stop`, `awaitEnd` and `running`: a coordinator visits the home of another coordinator, which
+decides.
 
 The visit is a hop as for a portal call: it is durable and numbered, and the limits of `within` apply to it.
-The home alone counts the starts of its coordinators, so two requests never start one twice.
+The home alone counts the starts of its coordinators, so two requests never start a coordinator twice.
 """
 
 from __future__ import annotations

@@ -17,15 +17,15 @@ import wasmtime
 from lfield.vm.memory.block_allocator import HEAP_ALLOCATOR, Buffer
 from lfield.vm.wasm.wasm_compiler import ADDRESS_SPACE, PAGE, compiler
 
-#: Reservations tried in turn where the address space is limited (`ulimit -v`).
+#: The reservations, tried in this order if the address space is limited (`ulimit -v`).
 RESERVATIONS = (ADDRESS_SPACE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
-#: Regions have one of four sizes between two powers of two; this is the smallest.
+#: The smallest size of a region. There are four sizes between two powers of two.
 _SMALLEST = 512
-#: Freed regions of this size return their memory, at the cost of a page fault per page on reuse.
+#: Freed regions of at least this size return their memory, which causes a page fault per page on reuse.
 _LARGE = 4 << 20
 _advise = ctypes.CDLL(None, use_errno=True).madvise
 _advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
-#: Minimum growth in pages: growing costs a system call, untouched pages cost nothing.
+#: Minimum growth in pages: growing takes a system call, unused pages take no memory.
 _STEP = 16
 
 
@@ -42,11 +42,11 @@ class Arena:
         self._freed: deque[tuple[int, int]] = deque()
 
     def view(self, base: int, size: int) -> memoryview:
-        """That many bytes at a place in the memory, valid as long as the arena."""
+        """`size` bytes at a place in the memory, valid as long as the arena."""
         return memoryview((ctypes.c_ubyte * size).from_address(self.address + base)).cast("B")
 
     def allocate(self, size: int) -> Buffer:
-        """A region; if the memory is full, bytes elsewhere, usable by the reference engine only."""
+        """A region; if the memory is full, bytes outside it, which only the reference engine can use."""
         capacity = size_class(size)
         base = self.allocate_region(capacity)
         if base < 0:
@@ -56,7 +56,7 @@ class Arena:
         return memoryview(region).cast("B")[:size]
 
     def resize(self, data: Buffer, size: int) -> Buffer:
-        """The same region if its size class fits, else another one."""
+        """The same region if its size class fits, otherwise another one."""
         region = data.obj if isinstance(data, memoryview) else None
         if isinstance(region, Region) and len(region) == size_class(size):
             return memoryview(region).cast("B")[:size]
@@ -66,14 +66,14 @@ class Arena:
         return made
 
     def base(self, data: Buffer) -> int:
-        """The start of a region in the memory, in bytes; -1 for bytes elsewhere."""
+        """The start of a region in the memory, in bytes; -1 for bytes outside the memory."""
         region = data.obj if isinstance(data, memoryview) else None
         if isinstance(region, Region) and region.arena is self:
             return region.base
         return -1
 
     def allocate_region(self, capacity: int) -> int:
-        """Allocate that many bytes (a size class) until freed; -1 when the arena is full."""
+        """Allocate `capacity` bytes (a size class) until they are freed; -1 if the arena is full."""
         while self._freed:
             base, size = self._freed.popleft()
             self._free.setdefault(size, []).append(base)
@@ -84,7 +84,7 @@ class Arena:
         return base if base >= 0 else self._coalesce(capacity)
 
     def free(self, base: int, capacity: int) -> None:
-        """Free a region without views; memory of a large one is returned to the system.
+        """Free a region without views; the memory of a large region is returned to the system.
 
         May be called at any time, even during `allocate_region`.
         """
@@ -95,7 +95,7 @@ class Arena:
         self._freed.append((base, capacity))
 
     def _coalesce(self, capacity: int) -> int:
-        """Merge adjacent freed regions into one; the rest stays free. -1 if impossible."""
+        """Merge adjacent freed regions into one; the rest remains free. -1 if this is impossible."""
         runs: list[tuple[int, int]] = []
         for base, size in sorted((base, size) for size, bases in self._free.items() for base in bases):
             before, known = runs[-1] if runs else (base, 0)
@@ -117,9 +117,9 @@ class Arena:
         return base
 
     def _extend(self, capacity: int) -> int:
-        """A new region at the end of the memory, which grows; -1 if impossible.
+        """A new region at the end of the memory, which grows; -1 if this is impossible.
 
-        The last page is unused, so the address behind a region has 32 bits too.
+        The last page is unused, so the address after a region also fits 32 bits.
         """
         base, end = self._next, self._next + capacity
         size = self.memory.data_len(self.store)
@@ -152,7 +152,7 @@ class Region(ctypes.Array[ctypes.c_ubyte]):
 
 
 def size_class(size: int) -> int:
-    """The size of the region for that many bytes: at most a quarter more."""
+    """The size of the region for `size` bytes: at most a quarter more."""
     if size <= _SMALLEST:
         return _SMALLEST
     step = 1 << (size - 1).bit_length() - 3

@@ -1,6 +1,6 @@
 """Engine selection: `reference`, `wasm`, or `auto` (WebAssembly if available).
 
-Does not load wasmtime until it is used.
+The module loads wasmtime only when it is used.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ def has_wasm() -> bool:
 def wasm_engine() -> Iterator[ModuleType]:
     """The module `lfield.vm.wasm.wasm_engine`, as a context manager. Raises EngineUnavailable.
 
-    Raised if wasmtime cannot be loaded, and by a lack of memory inside the context.
+    The error is raised if wasmtime cannot be loaded, and for a lack of memory inside the context.
     """
     try:
         module = import_module("lfield.vm.wasm.wasm_engine")
     except (ImportError, OSError, RuntimeError, AttributeError, MemoryError) as error:
-        # A wheel for another system or processor (RuntimeError), or another version.
+        # The cause is a wheel for another system or processor (RuntimeError), or another version.
         raise EngineUnavailable(error) from None
     try:
         yield module

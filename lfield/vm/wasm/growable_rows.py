@@ -8,14 +8,14 @@ from __future__ import annotations
 from lfield.vm.memory import layout
 
 _LENGTH, _ELEMENTS = 8 * layout.GROWABLE_LENGTH, 8 * layout.GROWABLE_ARRAY
-#: More elements are created and moved by the reference engine.
+#: The maximum number of elements; the reference engine creates and moves more of them.
 _LONG = 8192
 #: The length of the array in `{0}`.
 _OLD_LENGTH = f"""
     (local.set $x (i64.load offset={_LENGTH} {{0_at}}))
     leave (i64.ge_u (local.get $x) (global.get $longest))
 """
-#: The address of its elements, with space for one more.
+#: The address of the elements, with space for one more.
 _WITH_SPACE = f"""
     (local.set $p (i32.add (local.get $base)
         (i32.shl (i32.wrap_i64 (i64.load offset={_ELEMENTS} {{0_at}})) (i32.const 3))))

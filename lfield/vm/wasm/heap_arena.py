@@ -1,7 +1,7 @@
 """Region allocator with native heap operations: blocks are collected, copied and verified in WebAssembly.
 
-The Python code of `lfield.vm.memory` is the specification; results are identical bytes. Blocks elsewhere and
-undecided cases are left to it.
+The Python code of `lfield.vm.memory` is the specification; results are identical bytes. It also handles
+blocks outside the arena and undecided cases.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lfield.vm.wasm.runtime.runtime_functions import RuntimeFunctions
 from lfield.vm.wasm.runtime.runtime_tables import layout_tables, schema_tables, suspension_tables
 from lfield.vm.wasm.wasm_compiler import PAGE
 
-#: Maximum references copied at once: more than any call has arguments.
+#: Maximum references copied at once, a number above the arguments of any call.
 MOST_ROOTS = 64
 
 
@@ -161,7 +161,9 @@ class ObjectStarts(Mapping[int, int]):
         raise KeyError(place)
 
     def get(self, place: int, default: int = 0) -> int:  # type: ignore[override]  # only these operations are used
-        """As of every mapping, without an internal exception: called several times per hop."""
+        """The value of a key, without an internal exception, because the method is called several times per
+        hop.
+        """
         if 0 <= place < self._top and self._bits[place >> 3] >> (place & 7) & 1:
             return self._w[place] & 0xFFFFFFFF
         return default

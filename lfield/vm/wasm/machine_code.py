@@ -25,14 +25,14 @@ from lfield.vm.wasm.lowering.module_lowering import WasmModule, lower_program
 from lfield.vm.wasm.runtime.runtime_functions import runtime_text
 from lfield.vm.wasm.wasm_compiler import compiler
 
-#: Programs kept in memory: tests have many, a host has one.
+#: The number of programs kept in memory: tests have many, a host has one.
 CACHED_PROGRAMS = 16
 _recent: OrderedDict[tuple[bytes, int], MachineCode] = OrderedDict()
-#: Stands for the runtime among the digests of programs.
+#: The key of the runtime among the digests of programs.
 _RUNTIME = b"runtime"
-#: Packages whose files determine the code: everything that `lowering` imports.
+#: Packages whose files determine the code: the imports of `lowering`.
 _MAKERS = ("lfield.vm", "lfield.bytecode")
-#: Its other imports, which do not affect the code: device kinds, errors and their numbers.
+#: The other imports of `lowering`, which do not affect the code: device kinds, errors and their numbers.
 _NO_MAKERS = ("lfield.manifest", "lfield.errors", "lfield.exit_status")
 
 
@@ -40,7 +40,7 @@ class CodeCache(Protocol):
     """A store of code by name for this user, which compiles missing code."""
 
     def get(self, name: str) -> bytes | None:
-        """The stored code, None if there is no trustworthy one."""
+        """The stored code, None if no trusted code is stored."""
 
     def put(self, name: str, data: bytes) -> None:
         """Store code, if possible."""
@@ -78,7 +78,7 @@ def code_of(prepared: PreparedProgram, reservation: int, cache: CodeCache | None
 def runtime_of(
     reservation: int, cache: CodeCache | None = None, program: PreparedProgram | None = None
 ) -> wasmtime.Module:
-    """The code of the runtime, the same for all programs; compiled together with that of a `program`."""
+    """The code of the runtime, the same for all programs; compiled together with the code of a `program`."""
     lowerings = {_RUNTIME: lambda: WasmModule(runtime_text(), {}, {})}
     if program is not None:
         lowerings[program.program.digest] = lambda: lower_program(program)
@@ -118,7 +118,7 @@ def _from_cache(digest: bytes, reservation: int, cache: CodeCache | None) -> Mac
 def _compile(
     modules: Mapping[bytes, WasmModule], reservation: int, cache: CodeCache | None
 ) -> dict[bytes, MachineCode]:
-    """Compile now, as the cache decides."""
+    """Compile now, in the way that the cache determines."""
     engine = compiler(reservation)
     if cache is None:
         return {

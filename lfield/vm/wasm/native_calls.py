@@ -23,7 +23,7 @@ _ERROR = ctypes.POINTER(bindings.wasmtime_error_t)
 def bind_function(
     store: wasmtime.Store, instance: wasmtime.Instance, name: str, count: int
 ) -> Callable[..., int]:
-    """An exported function with that many integer arguments and one result; `count` is 0 for no arguments.
+    """An exported function with `count` integer arguments and one result.
 
     Of a 32-bit result only the lower half is valid (`unsigned`). Raises wasmtime.Trap and WasmtimeError,
     which are bugs of lfield.

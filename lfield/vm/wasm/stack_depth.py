@@ -1,13 +1,13 @@
 """Bound of the call depth on the WebAssembly stack: wasmtime does not report the stack use of a function.
 
-A function spills every value that is needed later than registers allow. The compiler computes nothing twice,
-so a value may be needed until the method's end; and it computes values of an exit at that exit, with the
-whole chain leading there. Spills could thus grow quadratically. But at a point nothing is known, since
-resumed methods enter there, and no path exceeds STRETCH instructions without one. What remains are loop
-invariants: at most four per instruction, of 8 bytes, so spills grow linearly. The measured maximum, in loops
-over hundreds of roots, comparisons and powers, is a quarter of VALUES each, and half of ARGUMENT: an argument
-is stored once as a value and once as passed. With slots in the frame, nothing else grows. Half of the total
-is reserve, as tests/vm/wasm/test_stack.py checks.
+A function spills every value that is needed later than registers allow. The compiler computes no value twice,
+so a value may be needed until the method's end; and it computes the values of an exit at this exit, with the
+whole chain of operations that leads there. Spills could thus grow quadratically. But at a point the compiler
+knows no value, since resumed methods enter there, and no path exceeds STRETCH instructions without a point.
+The remaining values are loop invariants: at most four per instruction, of 8 bytes, so spills grow linearly.
+The measured maximum, in loops over hundreds of roots, comparisons and powers, is a quarter of VALUES for
+each, and half of ARGUMENT: an argument is stored once as a value and once when it is passed. With slots in
+the frame, no other part grows. Half of the total is a reserve, as tests/vm/wasm/test_stack.py checks.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ITSELF, LOCAL, VALUES, ARGUMENT = 256, 24, 32, 32
 def most_bytes(instructions: int, passed: int, slots: int | None) -> int:
     """Maximum stack of a method's function, by number of instructions and of arguments of a call.
 
-    `slots` are those that are locals; None if all are in the frame.
+    `slots` is the number of slots that are locals; None if all are in the frame.
     """
     values = instructions if slots is not None else STRETCH
     return ITSELF + LOCAL * (slots or 0) + VALUES * values + ARGUMENT * passed
@@ -54,7 +54,7 @@ def deepest(sizes: Mapping[int, int], calls: Mapping[int, Iterable[int]]) -> int
 def _peeled(
     methods: set[int], sizes: Mapping[int, int], calls: Mapping[int, Iterable[int]]
 ) -> tuple[set[int], int]:
-    """The methods without those that no cycle calls, and the maximum stack of a chain of these."""
+    """The methods except those that no cycle calls, and the maximum stack of a chain of the latter."""
     callees = {method: methods.intersection(calls[method]) for method in methods}
     callers = Counter(callee for found in callees.values() for callee in found)
     free = [method for method in methods if not callers[method]]

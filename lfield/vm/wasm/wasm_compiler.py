@@ -1,8 +1,8 @@
 """WebAssembly compiler, in this process or as `python -m lfield.vm.wasm.wasm_compiler RESERVATION PARENT`.
 
 Input: texts separated by NUL. Output: a line with the size of each machine code, then all of them. The
-process ends with its PARENT (a process id). It loads no large module but wasmtime: loading the lowering would
-take longer than compiling.
+process ends with its PARENT (a process id). The process loads no large module except wasmtime: loading the
+lowering would take longer than compiling.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import wasmtime
 from lfield.vm.wasm.stack_depth import STACK
 
 PAGE = 1 << 16
-#: Maximum memory. With this reservation, code needs no bounds checks.
+#: The maximum memory. With this reservation, code needs no bounds checks.
 ADDRESS_SPACE = 1 << 32
 #: The wasmtime version required by pyproject.toml.
 VERSION = 50
-#: Of prctl: the signal for this process when its parent ends.
+#: The option of prctl for the signal that this process gets when its parent ends.
 _PARENT_DEATH, _SIGKILL = 1, 9
 
 
@@ -65,7 +65,7 @@ def main(reservation: int, parent: int) -> None:
 
 def _end_with(parent: int) -> None:
     ctypes.CDLL(None).prctl(_PARENT_DEATH, _SIGKILL, 0, 0, 0)
-    # The parent may have ended before.
+    # The parent may have ended before this call.
     if os.getppid() != parent:
         sys.exit(1)
 

@@ -40,23 +40,23 @@ _pack_inputs = struct.Struct(f"<{len(INPUT_REGISTERS) + len(INOUT_REGISTERS)}q")
 _unpack_outputs = struct.Struct(f"<{len(INOUT_REGISTERS) + len(OUTPUT_REGISTERS)}q").unpack_from
 
 
-#: Seconds after which a run ends: rare operations take a thousand times longer than others. Instructions of
-#: the reference engine between two checks of that.
+#: Seconds after which a run ends: rare operations take a thousand times longer than others. The number of
+#: instructions of the reference engine between two checks of this limit.
 MAX_STRETCH_SECONDS, MIN_BUDGET = 0.002, 2000
-#: Exceptions on creation without enough memory, or with another wasmtime.
+#: The exceptions at creation without enough memory, or with another wasmtime.
 UNUSABLE = (ImportError, MemoryError, OSError, wasmtime.WasmtimeError)
 
 
 class WasmEngine:
-    """Runs threads of blocks of one program; blocks outside its arena only by the reference engine.
+    """Runs threads of blocks of one program; blocks outside its arena run only in the reference engine.
 
-    `note` writes a log line when a method or agent runs slowly by the reference engine. `stopwatch` limits
+    `note` writes a log line when a method or agent runs slowly in the reference engine. `stopwatch` limits
     the duration of a run, by default `now`.
     """
 
     pace = 50
-    #: Instructions of a run that the reference engine executes first, since entering WebAssembly takes
-    #: longer: code between two portal calls is mostly shorter.
+    #: The instructions of a run that the reference engine executes first, since an entry into WebAssembly
+    #: takes longer: the code between two portal calls is mostly shorter.
     first = 12
 
     def __init__(
@@ -87,7 +87,7 @@ class WasmEngine:
         self._host_calls = prepared.host_calls
         self._registers = self.space.view(0, 8 * len(REGISTERS))
         self._enter = bind_function(store, instance, "run", 0)
-        #: As of the reference engine.
+        #: See `ReferenceEngine`.
         self.has_read_external, self.unused_budget = False, 0
 
     @property
@@ -149,7 +149,7 @@ class WasmEngine:
         return BUDGET_EXHAUSTED
 
     def _log_unsupported(self, block: Block) -> None:
-        """Log once per agent that WebAssembly does not run it."""
+        """Log once per agent that its block is outside the arena, so that WebAssembly cannot run it."""
         identity = block.string(block.w[W_ID]) if block.w[W_ID] else ""
         if identity not in self._outside_arena:
             self._outside_arena.add(identity)
@@ -165,7 +165,7 @@ class WasmEngine:
         readings: Sequence[Reading | None],
         stops: Container[int] | None,
     ) -> EngineExit:
-        """Let the reference engine continue for a while."""
+        """Continue with the reference engine, for at most MIN_BUDGET instructions or until one in `stops`."""
         reference, budget = self._reference, min(self.unused_budget, MIN_BUDGET)
         leave = reference.run(block, thread, budget, limits, readings, stops or None)
         self.unused_budget += reference.unused_budget - budget

@@ -1,6 +1,6 @@
 """Listing of a module for people: indented, with each instruction above its text.
 
-The same module with spaces and comments added.
+The listing is the same module with additional spaces and comments.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def listing(program: Program) -> str:
 
 
 def _notes(program: Program) -> tuple[dict[int, list[str]], set[str]]:
-    """The comments above instructions, by number; and which of them are lines of L."""
+    """The comments above instructions, by number; and those comments that are lines of L."""
     notes: dict[int, list[str]] = {}
     lines_of_l: set[str] = set()
     for method in range(len(program.core.methods)):
@@ -41,7 +41,7 @@ def _notes(program: Program) -> tuple[dict[int, list[str]], set[str]]:
 
 
 def _once(lines: list[str], lines_of_l: set[str]) -> Iterator[str]:
-    """Without repeated lines of L."""
+    """The lines without repeated lines of L."""
     above = ""
     for line in lines:
         if line in lines_of_l:
@@ -52,7 +52,7 @@ def _once(lines: list[str], lines_of_l: set[str]) -> Iterator[str]:
 
 
 def _set_in(lines: Iterator[str]) -> Iterator[str]:
-    """Every line indented by its depth of parentheses and blocks."""
+    """All lines, indented by their depth of parentheses and blocks."""
     depth = 0
     for line in map(str.strip, lines):
         text = line.partition(";;")[0]

@@ -17,17 +17,18 @@ MAX_ARGUMENTS, MAX_RESULT = 8 << 10, 256 << 10
 #: The longest time limit of a call, in seconds.
 MAX_LIMIT = 3600.0
 
-#: How a call ended: `refused` has not started; of `unknown` the host does not know whether it has.
+#: The outcomes of a call: a `refused` call has not started; for `unknown` the host does not know whether it
+#: has.
 CallOutcome = Literal["returned", "thrown", "refused", "unknown"]
 
 
 class PortalCallRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=76):
     """From an observer: call a portal of a resource of this host, at most once for each `id`.
 
-    A repetition with the same id joins the call, or is answered with its result. `incarnation` is that of the
-    host at the first attempt: another one means that the host has restarted, and may have executed the call.
-    `limit` is in seconds. `is_assistant`: an AI assistant calls for the person. Answered by a
-    `PortalCallResult`.
+    A repetition with the same id joins the call, or is answered with its result. `incarnation` is the
+    incarnation of the host at the first attempt: another one means that the host has restarted, and may have
+    executed the call. `limit` is in seconds. `is_assistant`: an AI assistant calls for the person. Answered
+    by a `PortalCallResult`.
     """
 
     id: OrderId
@@ -40,14 +41,15 @@ class PortalCallRequest(Struct, frozen=True, array_like=True, forbid_unknown_fie
 
 
 class PortalCallCancel(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=77):
-    """From an observer: cancel its call of that id, which ends with a CancelledException."""
+    """From an observer: cancel the call with this id, which ends with a CancelledException."""
 
     id: OrderId
 
 
 class PortalCallResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=78):
     """The end of a call: `value` is its result. `kind` is the exception of L that it has thrown, or the code
-    of the reason why it was refused or is unknown (`RefusalCode`); `message` explains it."""
+    of the reason why the call was refused or its outcome is unknown (`RefusalCode`); `message` explains it.
+    """
 
     id: OrderId
     outcome: CallOutcome
@@ -56,7 +58,7 @@ class PortalCallResult(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     value: Annotated[bytes, Meta(max_length=MAX_RESULT)] = b""
 
 
-#: Why a call was refused, or its outcome is unknown.
+#: The reason why a call was refused, or its outcome is unknown.
 RefusalCode = Literal[
     "not-permitted",
     "paused",

@@ -1,4 +1,4 @@
-"""Control-flow graph of a method: basic blocks and how each ends.
+"""Control-flow graph of a method: basic blocks and their ends.
 
 A block also ends after each call and each engine exit: the next instruction is a *point* where the method
 can be resumed, with its slots from the block.
@@ -21,7 +21,7 @@ LONG_METHOD = 10_000
 
 
 class LoweredInstruction(Struct, frozen=True):
-    """An instruction that costs one of the budget: a quad, or a group with its operands.
+    """An instruction that counts as one in the budget: a quad, or a group with its operands.
 
     `into` is the slot of its result, -1 for none.
     """
@@ -35,7 +35,7 @@ class LoweredInstruction(Struct, frozen=True):
 
 
 class JumpExit(Struct, frozen=True):
-    """Continues there."""
+    """Continues at the block `to`."""
 
     to: int
 
@@ -68,7 +68,7 @@ class ThrowExit(Struct, frozen=True):
 
 
 class EngineCallExit(Struct, frozen=True):
-    """Exits the engine for an instruction that it does not support; continues there later."""
+    """Exits the engine for an instruction that it does not support; continues at `to` later."""
 
     what: LoweredInstruction
     to: int | None
@@ -78,7 +78,7 @@ BlockExit = JumpExit | BranchExit | CallExit | ReturnExit | ThrowExit | EngineCa
 
 
 class BasicBlock(Struct):
-    """Consecutive instructions from `pc` on, and how they end."""
+    """Consecutive instructions from `pc` on, and their end."""
 
     pc: int
     work: list[LoweredInstruction] = field(default_factory=list)
@@ -86,14 +86,18 @@ class BasicBlock(Struct):
 
     @property
     def cost(self) -> int:
-        """Its cost; an instruction that exits is charged where it is executed."""
+        """The number of instructions charged; an instruction that exits is charged by the engine that
+        executes it.
+        """
         return len(self.work) + (
             isinstance(self.end, (BranchExit, CallExit, ReturnExit, ThrowExit)) or self._jumps
         )
 
     @property
     def last(self) -> tuple[int, int]:
-        """The instruction that ends it, and the next one: the same if it only falls through."""
+        """The instruction that ends the block, and the next one; they are equal if the block only falls
+        through.
+        """
         if isinstance(self.end, (CallExit, ReturnExit, ThrowExit, EngineCallExit)):
             return self.end.what.pc, self.end.what.after
         pc = self.work[-1].after if self.work else self.pc
@@ -103,7 +107,7 @@ class BasicBlock(Struct):
     def _jumps(self) -> bool:
         return isinstance(self.end, JumpExit) and not self.falls
 
-    #: Whether it only falls through, at no cost.
+    #: Whether the block only falls through, without a charged instruction.
     falls: bool = False
 
 
@@ -167,7 +171,9 @@ class ControlFlowGraph:
         return {pc for pc in heads if pc in self.instructions}
 
     def _stretched(self) -> set[int]:
-        """Additional points, to cut long chains of values that cost the compiler too much time and stack."""
+        """Additional points, which cut long chains of values: these would need too much time and stack in the
+        compiler.
+        """
         since: dict[int, int] = {}
         for pc, i in self.instructions.items():
             if since.get(pc, 0) >= STRETCH:
@@ -192,7 +198,7 @@ class ControlFlowGraph:
         return run
 
     def _end(self, i: LoweredInstruction) -> BlockExit | None:
-        """How an instruction ends its block; None if it does not."""
+        """The end of a block by an instruction; None if the instruction does not end its block."""
         match CONTROL.get(i.row.name):
             case "JumpExit":
                 return JumpExit(i.quad.a)

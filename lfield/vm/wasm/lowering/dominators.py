@@ -37,8 +37,8 @@ def predecessors(order: list[int], successors: Successors) -> dict[int, list[int
 def immediate_dominators(order: list[int], before: dict[int, list[int]]) -> dict[int, int]:
     """The immediate dominator of each node; of the root itself.
 
-    Back edges are omitted: to a loop with one entry they lead to a dominator and change nothing. With two
-    entries the edge does not lead to a dominator here either.
+    Back edges are omitted: in a loop with one entry they lead to a dominator and have no effect. In a loop
+    with two entries the edge does not lead to a dominator with or without them.
     """
     tree = _Tree(order[0])
     for node in order[1:]:
@@ -78,9 +78,9 @@ class _Tree:
 
 
 def domination(order: list[int], above: dict[int, int]) -> Callable[[int, int], bool]:
-    """Whether a node is dominated by another one (or is it); called with the upper one first.
+    """Whether a node is dominated by another node, or is that node; called with the upper node first.
 
-    Each node's number is followed by those of all nodes that it dominates.
+    Each node's number is followed by the numbers of all nodes that it dominates.
     """
     size = dict.fromkeys(order, 1)
     for node in reversed(order[1:]):

@@ -46,7 +46,7 @@ def _compare(kind: str, sign: str) -> dict[str, str]:
 
 
 def exceeds_heap(size: object, top: str = "(global.get $top)") -> str:
-    """Whether that many bytes above the top exceed the heap.
+    """Whether `size` bytes above the top exceed the heap.
 
     Computed in 64 bits without overflow: the end of the arena may be near, and the top may be above the limit
     (`Block.use_reserve`).
@@ -284,7 +284,7 @@ ROWS: dict[str, str] = {
         leave (i32.eqz (f64.ge {0} (f64.const 0)))
         (local.set {a} (f64.sqrt {0}))
     """,
-    # -0.0 does not occur: these integers were ints in between
+    # -0.0 does not occur, because these values were ints in between
     "floor": """
         leave (f64.ne {0} {0})
         (local.set {a} (f64.add (f64.floor {0}) (f64.const 0)))
@@ -304,7 +304,7 @@ ROWS: dict[str, str] = {
     "modf": _maths("modf", "{b}", "{c}"),
 }
 
-#: How an instruction ends a block: the class in `control_flow_graph.py`, whose text is a case of
+#: The end of a block by each instruction: the class in `control_flow_graph.py`, whose text is a case of
 #: `MethodLowering._end`.
 CONTROL = {
     "jmp": "JumpExit",
@@ -315,7 +315,7 @@ CONTROL = {
     "rtn": "ReturnExit",
     "throw": "ThrowExit",
 }
-#: No code of their own: the head of their group includes them as operands.
+#: Instructions without code of their own: the head of their group includes them as operands.
 GROUPED = ("push", "pop")
 
 #: Runtime functions (`lfield.vm.wasm.runtime`) called by rows, with their types.

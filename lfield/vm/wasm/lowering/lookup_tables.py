@@ -1,12 +1,13 @@
-"""Lookup tables of the trampoline: continuation of each call, and handlers. At the start of the memory.
+"""Lookup tables of the trampoline: continuation of each call, and handlers. They are at the start of the
+memory.
 
     RETURNS   by instruction after a call: its point (0: none), offset of the result in the frame (0: none)
     METHODS   by method: start and end of its handler rows, its entry, whether it is synchronized
     ROWS      by handler: start, end, column, the point of its target, offset of the exception in the frame
     TAKES     by class and column: whether an object of the class is caught
 
-All are 32-bit numbers, the last one bytes. The column of a handler is that of its class, or ANYTHING for a
-`finally`, which the reference engine must run, or NOTHING.
+All entries are 32-bit numbers, those of the last table bytes. The column of a handler is the column of its
+class, or ANYTHING for a `finally`, which the reference engine must run, or NOTHING.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from lfield.vm.memory.layout import FRAME_SLOTS
 from lfield.vm.reference.step_compiler import PreparedProgram
 
 RETURN, METHOD, ROW = 8, 16, 20
-#: Handler types besides columns.
+#: Handler types other than columns.
 ANYTHING, NOTHING = -1, -2
 
 
@@ -37,7 +38,7 @@ class LookupTables:
         self.end = self.catches + len(core.classes) * len(self.columns)
 
     def data(self, prepared: PreparedProgram, points: dict[int, int]) -> bytes:
-        """All of them."""
+        """The bytes of all tables."""
         caught = bytes(catches in kinds for kinds in self._program.kinds for catches in self.columns)
         return self._returns(prepared, points) + self._methods() + self._rows(points) + caught
 

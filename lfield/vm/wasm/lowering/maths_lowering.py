@@ -2,8 +2,8 @@
 
 Supported: reals (f64), ints within 64 bits (i64, not negative before `//` and `%`), booleans (i32), `if`,
 `while`, `for` over a constant tuple (unrolled), and functions with one or several results. Every operation
-has a counterpart with identical bits, except the bits of a NaN; the functions never use those, and an engine
-only checks whether a result is finite (decision 58).
+has a counterpart with identical bits, except the bits of a NaN; the functions never use the bits of a NaN,
+and an engine only checks whether a result is finite (decision 58).
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ def maths_name(opcode: str) -> str:
 
 
 def maths_text(opcodes: Iterable[str]) -> str:
-    """The functions of these instructions and all that they call, for inclusion in a module."""
+    """The functions of these instructions and all functions that they call, for inclusion in a module."""
     return functions_text(MATHS[opcode] for opcode in opcodes)
 
 
 def functions_text(functions: Iterable[Callable[..., Any]]) -> str:
-    """Functions in the subset and all that they call, once each."""
+    """Functions in the subset and all functions that they call, once each."""
     texts: dict[Any, str] = {}
     waiting: list[Any] = list(functions)
     while waiting:

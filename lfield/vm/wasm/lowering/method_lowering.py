@@ -1,9 +1,9 @@
-"""Lowering of methods to functions that spill their slots to the frame before anything can observe it.
+"""Lowering of methods to functions that spill their slots to the frame before other code can observe it.
 
 Parameters: address of the frame, point to resume at (0: the start), and arguments where slots are locals.
-Results: the method's, and whether it has returned (RETURNED). If not, every function on the WebAssembly stack
-writes its slots to its frame and returns in turn: the block is then complete, and each can be resumed behind
-after its call. The frame's words before the slots are written by the caller.
+Results: the result of the method, and whether the method has returned (RETURNED). If not, every function on
+the WebAssembly stack writes its slots to its frame and returns in turn: the block is then complete, and each
+function can be resumed after its call. The frame's words before the slots are written by the caller.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ RETURNED, STEP, SHORT, DONE, THROWN, TRAPPED = range(6)
 #: Comments by instruction, for listings only.
 Notes = Mapping[int, Sequence[str]]
 NO_NOTES: Notes = {}
-#: Longer objects are copied from the module; up to this size they are written word by word.
+#: The maximum size of an object that is written word by word; longer objects are copied from the module.
 _UNROLLED = 12
 #: The lengths of the two kinds of arrays, at $p.
 _ARRAY_LENGTH = "(i64.sub (i64.load32_u offset=4 (local.get $p)) (i64.const 1))"
@@ -82,20 +82,20 @@ class MethodLowering:
         others: Mapping[int, MethodLowering],
     ) -> None:
         self.index, self._traps, self._notes = index, traps, notes
-        # Methods with callable functions, complete when the text is made; irreducible ones have none.
+        # Methods with callable functions, complete when the text is made; irreducible methods have none.
         self._others = others
         self._prepared = prepared
         self._core = prepared.program.core
         self._method = method = self._core.methods[index]
         graph = ControlFlowGraph(prepared, method, lambda i: bool(row_name(prepared, method.slots, i)))
         self._routes = ResumeGraph(graph)
-        #: Numbers of its points, by instruction.
+        #: The numbers of the points, by instruction.
         self.points = self._routes.numbers
-        #: Data that it copies to the heap, by name of the segment.
+        #: The data that the function copies to the heap, by name of the segment.
         self.segments: dict[str, bytes] = {}
         types = [self._type(t) for t in method.slots]
         instructions = graph.instructions.values()
-        #: Methods that it calls, and the maximum WebAssembly stack of its function in bytes.
+        #: The called methods, and the maximum WebAssembly stack of the function in bytes.
         self.calls = {i.quad.a for i in instructions if i.row.name == "call"}
         passed = max(len(i.arguments) for i in instructions)
         self.result = "" if self._kind(method.result) == VOID else self._type(method.result)
@@ -240,7 +240,7 @@ class MethodLowering:
     # --- instructions ---------------------------------------------------------------------------------
 
     def _value(self, operand: int, kind: str) -> str:
-        """A source operand of a WebAssembly type."""
+        """The text of a source operand of a WebAssembly type."""
         if operand >= 0:
             return self.slots.value(operand)
         value = self._core.constants[-1 - operand]
@@ -285,12 +285,12 @@ class MethodLowering:
         return self._trap(f"(i64.eqz {self._value(operand, 'i64')})", trap, i.pc, refund)
 
     def _index(self, index: str, length: str, pc: int, refund: int) -> list[str]:
-        """Throws if an index is outside the array of that length."""
+        """The code that throws if an index is outside the array of this length."""
         operands_code = f"(global.set $word {index}) (global.set $length {length})"
         return self._trap(f"(i64.ge_u {index} {length})", INDEX, pc, refund, operands_code)
 
     def _trap(self, condition: str, number: int, pc: int, refund: int, extra: str = "") -> list[str]:
-        """Throws a machine exception if a condition holds; the instruction is charged."""
+        """The code that throws a machine exception if a condition holds; the instruction is charged."""
         trap = f"{extra} (global.set $trap (i32.const {number}))"
         return [condition, "if", trap, *self.slots.exit_lines(pc, refund - 1, TRAPPED), "end"]
 
@@ -338,7 +338,7 @@ class MethodLowering:
         return self.slots.types[a] == "f64"
 
     def _made(self, i: LoweredInstruction) -> dict[str, str]:
-        """For instructions that create objects: their size, and the code that writes them at $p."""
+        """For an instruction that creates an object: the size, and the code that writes the object at $p."""
         made = {"made": reference_to("$p"), "head": str(ARRAY | i.quad.b << 8)}
         if i.row.name == "newarray" and self._kind(i.quad.b) == GROWABLE_TYPE:
             made["head"] = str(header(GROWABLE, i.quad.b, GROWABLE_WORDS))

@@ -19,7 +19,7 @@ from lfield.vm.wasm.stack_depth import deepest
 
 #: Maximum text of a function: at least two characters for each of the 7,654,321 bytes allowed.
 MAX_FUNCTION_TEXT = 15_000_000
-#: Start of its tables, after the registers.
+#: The start of the tables, after the registers.
 TABLES = 1024
 _CALL = BY_NAME["call"].code
 
@@ -77,7 +77,7 @@ def low_bytes(program: Program) -> int:
 
 
 def called_methods(program: Program) -> list[int]:
-    """All methods except those of classes that no method calls, such as most of a map's."""
+    """All methods except those of classes that no method calls, such as most methods of a map."""
     core, quads = program.core, program.quads
     pending = [i for i, method in enumerate(core.methods) if core.classes[method.owner].kind != "class"]
     found = set(pending)
@@ -92,7 +92,7 @@ def called_methods(program: Program) -> list[int]:
 def _methods(
     prepared: PreparedProgram, traps: TrapTable, unsupported: dict[int, str], notes: Notes
 ) -> dict[int, MethodLowering]:
-    """The methods that can be lowered, by number; the others that are called are added to `unsupported`."""
+    """The methods that can be lowered, by number; the other called methods are added to `unsupported`."""
     methods: dict[int, MethodLowering] = {}
     for index in called_methods(prepared.program):
         try:
@@ -103,7 +103,9 @@ def _methods(
 
 
 def _functions(methods: dict[int, MethodLowering], unsupported: dict[int, str]) -> list[str]:
-    """Their functions; a method whose text is too long is `unsupported` too, and not called by others."""
+    """The functions of methods; a method whose text is too long is also `unsupported`, and other functions do
+    not call it.
+    """
     texts = {i: m.text() for i, m in methods.items()}
     long = {
         i: "its code is too long for WebAssembly"
@@ -130,7 +132,7 @@ def _strings(data: bytes) -> str:
 
 
 def _entry(m: MethodLowering) -> str:
-    """How the trampoline calls a method: without arguments, with its result as a word."""
+    """The code with which the trampoline calls a method: without arguments, with the result as a word."""
     nothing = " ".join(m.slots.nothing)
     lines = [
         f"(func $e{m.index} (type $entry) (local $status i32)",

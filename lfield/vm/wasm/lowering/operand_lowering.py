@@ -13,7 +13,7 @@ from lfield.vm.reference.step_compiler import PreparedProgram
 from lfield.vm.wasm.lowering.control_flow_graph import LoweredInstruction
 from lfield.vm.wasm.lowering.instruction_table import ROWS
 
-#: Longer strings are created by the reference engine, in words.
+#: The maximum size of a string in words; the reference engine creates longer ones.
 _LONGEST = 1 << 14
 _BRACES = re.compile(r"\{(\w+)\}")
 
@@ -81,7 +81,7 @@ def _pieces(line: str) -> tuple[str, ...]:
 
 @cache
 def row_lines(row: str) -> tuple[tuple[str, str, str], ...]:
-    """The lines of a row, each with its first word and the rest of it."""
+    """The lines of a row, each with its first word and the rest of the line."""
     lines = [line.strip() for line in row.strip().splitlines()]
     return tuple((*line.partition(" ")[::2], line) for line in lines)
 
@@ -97,14 +97,14 @@ def address_of(reference: str) -> str:
 
 
 def element_address(index: str) -> str:
-    """Sets $p, the address of a growable array, to that of an element."""
+    """The code that sets $p, the address of a growable array, to the address of an element."""
     array = f"(i32.wrap_i64 (i64.load offset={8 * GROWABLE_ARRAY} (local.get $p)))"
     word = f"(i32.add (i32.add {array} (i32.wrap_i64 {index})) (i32.const 1))"
     return f"(local.set $p (i32.add (local.get $base) (i32.shl {word} (i32.const 3))))"
 
 
 def null_purpose(core: Core, slots: tuple[int, ...], i: LoweredInstruction) -> str:
-    """Purpose of an object for an instruction, as in the exception for null."""
+    """The purpose of an object for an instruction, as in the exception for null."""
     match i.row.name:
         case "getf" | "putf":
             slot, field = (i.quad.b, i.quad.c) if i.row.name == "getf" else (i.quad.a, i.quad.b)

@@ -2,7 +2,8 @@
 
 WebAssembly cannot jump into a loop. A loop with points inside therefore has a *test* before its header: a
 resumed method passes the tests of all loops around its point, each of which dispatches it by a *switch*;
-normal control skips them. A loop whose only point is its header needs none, such as most innermost ones.
+normal control skips the tests. A loop whose only point is its header, such as most innermost loops, needs no
+test.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from lfield.vm.wasm.lowering.dominators import (
 
 
 class ResumeTest(Struct, frozen=True):
-    """Goes to the switch if the method is being resumed, else on."""
+    """Goes to the switch if the method is being resumed, otherwise to `on`."""
 
     switch: int
     on: int
@@ -50,11 +51,11 @@ class ResumeEntry(NamedTuple):
 
 
 def _resume_entry(number: int) -> ResumeEntry:
-    """Numbers below 0, which no instruction has."""
+    """The entry with numbers below 0, which no instruction has."""
     return ResumeEntry(-1 - 2 * number, -2 - 2 * number)
 
 
-#: The method's own.
+#: The entry of the method.
 ROOT = _resume_entry(0)
 
 
@@ -73,7 +74,7 @@ class ResumeGraph:
         order = reverse_postorder(graph.entry, graph.leads_to)
         before = predecessors(order, graph.leads_to)
         self._dominates = domination(order, immediate_dominators(order, before))
-        # In code order, the points of a loop have consecutive numbers, and its switch no gaps.
+        # In code order, the points of a loop have consecutive numbers, so its switch has no gaps.
         points = [pc for pc in sorted(order) if pc in graph.points]
         self.numbers = {pc: i for i, pc in enumerate(points, 1)}
         loops = self._loops(order, before)
@@ -82,7 +83,7 @@ class ResumeGraph:
             for pc in body & around.keys():
                 around[pc].append(header)
         resumable_headers = {header for pc, headers in around.items() for header in headers if header != pc}
-        #: By header, for loops with points inside.
+        #: The entries by header, for loops with points inside.
         self._resume_entries = {
             header: _resume_entry(number)
             for number, header in enumerate((h for h in loops if h in resumable_headers), 1)
@@ -109,7 +110,9 @@ class ResumeGraph:
         return loops
 
     def _entries(self, around: dict[int, list[int]]) -> dict[int, Node]:
-        """The tests and switches: resumption starts at the root's, then passes those of the loops."""
+        """The tests and switches: resumption starts at the entry of the root, then passes the entries of the
+        loops.
+        """
         targets: dict[ResumeEntry, dict[int, int]] = {
             entry: {} for entry in (ROOT, *self._resume_entries.values())
         }
@@ -128,7 +131,7 @@ class ResumeGraph:
         return {**tests, **{entry.switch: ResumeSwitch(found) for entry, found in targets.items()}}
 
     def first(self, pc: int) -> int:
-        """The target of a jump to a block: the test of its loop if it is a header with one."""
+        """The target of a jump to a block: the test of its loop if the block is a header with a test."""
         return self._resume_entries[pc].test if pc in self._resume_entries else pc
 
     def leads_to(self, node: int) -> list[int]:

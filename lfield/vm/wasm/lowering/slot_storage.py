@@ -1,8 +1,8 @@
 """Storage of slots during execution: WebAssembly locals, or the frame.
 
-Locals make loops fast. But every exit writes and every point reads all of them, and merging hundreds of these
-costs the compiler quadratic time. In a long method, slots therefore stay in the frame, budget and point in
-globals, and each exit returns directly: compile time is linear.
+Locals make loops fast. But every exit writes and every point reads all locals, and the compiler takes
+quadratic time to merge hundreds of these. In a long method, slots therefore stay in the frame, budget and
+point in globals, and each exit returns directly: compile time is linear.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from lfield.vm.memory.layout import FRAME_SLOTS
 
 #: Maximum parameters of a WebAssembly function, minus those of the engine.
 PARAMETERS = 1000 - 2
-#: Records the exit of a method without locals; its status is returned.
+#: The code that records the exit of a method without locals; its status is returned.
 EXIT_FUNCTION = """
 (func $gone (param $frame i32) (param $pc i32) (param $refund i64) (param $status i32) (result i32)
   (global.set $frame (local.get $frame))
@@ -39,13 +39,13 @@ class LocalSlots:
 
     def __init__(self, types: Sequence[str], parameters: int) -> None:
         self.types, self._count = types, parameters
-        #: The function's parameters, those of a caller without any, and its locals.
+        #: The parameters of the function, the arguments of a caller that has none, and the locals.
         self.parameters = [f"(param $s{i} {t})" for i, t in enumerate(types[:parameters])]
         self.nothing = [f"({t}.const 0)" for t in types[:parameters]]
         self.locals = [f"(local $s{i} {t})" for i, t in enumerate(types[parameters:], parameters)]
-        #: Number of values on the WebAssembly stack.
+        #: The number of values on the WebAssembly stack.
         self.stacked: int | None = len(types)
-        #: At entry, and at exits.
+        #: The code at the entry, and at exits.
         self.entered = [
             "(local.set $left (global.get $left))",
             "(if (local.get $resume) (then",
@@ -53,9 +53,9 @@ class LocalSlots:
             "))",
         ]
         self.written = [_store("$frame", i, t, self.value(i)) for i, t in enumerate(types)]
-        #: After a call whose callee has not returned.
+        #: The code after a call whose callee has not returned.
         self.followed = "(br_if $spill (local.get $status))"
-        #: Before and after a call: the budget is passed to the callee.
+        #: The code before and after a call: the budget is passed to the callee.
         self.sent, self.received = (
             "(global.set $left (local.get $left))",
             "(local.set $left (global.get $left))",

@@ -57,7 +57,7 @@ class StructuredControl:
         return lines
 
     def _tree(self, node: int, write: Write) -> list[Item]:
-        """A node and those merged below it."""
+        """A node and the nodes merged below it."""
         below = self._below[node]
         items: list[Item] = [f"block $b{n}" for n in reversed(below)]
         items += write(node, lambda to: self._go(node, to))

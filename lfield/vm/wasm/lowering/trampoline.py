@@ -1,7 +1,8 @@
 """Trampoline, called by Python: enters methods, returns to callers, and finds handlers.
 
-It resumes the method of a thread's innermost frame; when that returns, its caller; when it throws, the
-handler; until one exits. Python passes data in REGISTERS, words at the beginning of the memory.
+It resumes the method of a thread's innermost frame. When this method returns, it resumes the caller; when it
+throws, the handler; until a method exits. Python passes data in REGISTERS, words at the beginning of the
+memory.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ GLOBALS = {
 def trampoline_text(deepest: int, tables: LookupTables, *, catches: bool) -> str:
     """`run`: from the registers until an exit; returns a status as methods do.
 
-    `deepest` calls fit the WebAssembly stack: deeper ones exit, and restart from here. If a time limit may
+    `deepest` calls fit the WebAssembly stack: deeper calls exit, and restart from here. If a time limit may
     skip a catch, `catches` is false, and the reference engine finds the handler.
     """
     small = [f"(global.set ${name} (i32.load (i32.const {AT[name]})))" for name in ("base", "top", "end")]
@@ -88,7 +89,9 @@ def trampoline_text(deepest: int, tables: LookupTables, *, catches: bool) -> str
 
 
 def _thrown(caught: str) -> str:
-    """After a method that has thrown: to the handler, or to the reference engine, with its charge."""
+    """The code after a method that has thrown: goes to the handler, or to the reference engine, with the
+    charge of the method.
+    """
     return f"""(if (i32.ge_u (local.get $status) (i32.const {THROWN})) (then
       (local.set $top (global.get $top))
       (if (if (result i32) (i32.eq (local.get $status) (i32.const {TRAPPED}))
@@ -103,9 +106,10 @@ def _thrown(caught: str) -> str:
 
 
 def _caught(tables: LookupTables) -> str:
-    """Finds the handler for $word, thrown at $pc in $frame, and goes there; 0 without effect if none.
+    """The code that finds the handler for $word, thrown at $pc in $frame, and goes there; 0 without effect if
+    there is none.
 
-    As `lfield.vm.reference.unwinder` without time limits; a `finally` is left to that too.
+    As `lfield.vm.reference.unwinder` without time limits; a `finally` is also left to the unwinder.
     """
     return f"""
 (func $caught (result i32)
@@ -150,7 +154,7 @@ def _caught(tables: LookupTables) -> str:
 
 
 def _unwind(tables: LookupTables) -> str:
-    """Leaves all frames from $frame down to another one, and releases their monitors."""
+    """The code that leaves all frames from $frame down to another one, and releases their monitors."""
     return f"""
 (func $unwind (param $to i32) (local $frame i32) (local $pc i32) (local $method i32)
   (local.set $frame (global.get $frame))
@@ -178,7 +182,8 @@ def _method(tables: LookupTables) -> str:
     return f"(i32.add (i32.const {tables.methods}) (i32.mul {number} (i32.const {METHOD})))"
 
 
-#: To the caller of a frame, at its call; the frame is then a word index of the block, 0 for none.
+#: The code that goes to the caller of a frame, at its call; the frame is then a word index of the block, 0
+#: for none.
 _OUTWARDS = f"""
     (local.set $pc (i32.sub (i32.load offset={8 * FRAME_RETURN} (local.get $frame)) (i32.const 1)))
     (local.set $frame (i32.shl (i32.load offset={8 * FRAME_CALLER} (local.get $frame)) (i32.const 3)))"""

@@ -1,7 +1,7 @@
 """Frequent machine exceptions: null, invalid index, division by zero, overflow.
 
-Each is created as by the reference engine: message, empty source, object. If the heap cannot hold all three
-nothing is created, and the reference engine executes the instruction.
+Each is created as by the reference engine: message, empty source, object. If the heap cannot hold all three,
+no object is created, and the reference engine executes the instruction.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from lfield.vm.reference.step_compiler import PreparedProgram
 from lfield.vm.wasm.lowering.instruction_table import exceeds_heap
 from lfield.vm.wasm.lowering.operand_lowering import text_words
 
-#: The trap of an index; those with a constant message are numbered from 1.
+#: The number of the trap of an index; traps with a constant message are numbered from 1.
 INDEX = 0
 _BETWEEN = " of an array of length "
-#: More than the bytes of an index message, and a multiple of 8.
+#: A number above the bytes of an index message, and a multiple of 8.
 _MOST = 96
 
 
@@ -39,7 +39,7 @@ class TrapTable:
         return [header(OBJECT, record, words), *[0] * (words - 1)]
 
     def segments(self) -> dict[str, bytes]:
-        """The data of each on the heap, by name of the segment."""
+        """The data of each trap on the heap, by name of the segment."""
         found = {}
         for (kind, message), number in self._numbers.items():
             words = [*text_words(message[:MESSAGE_LENGTH]), *text_words(""), *self._object(kind)]
@@ -80,7 +80,7 @@ class TrapTable:
   (i32.const 1))"""
 
     def _index(self) -> str:
-        """The index $word of an array of $length."""
+        """The code of the trap of an index: $word is the index of an array of $length."""
         words = self._object("IndexException")
         most = _MOST + 16 + 8 * len(words)
         before = _stores("index ", "(i32.add (local.get $top) (i32.const 16))")
@@ -134,7 +134,7 @@ _DECIMAL = """
 
 
 def _stores(text: str, at: str) -> str:
-    """Writes an ASCII text, byte by byte."""
+    """The code that writes an ASCII text, byte by byte."""
     return " ".join(
         f"(i32.store8 offset={n} {at} (i32.const {byte}))" for n, byte in enumerate(text.encode())
     )

@@ -51,7 +51,7 @@
                 (local.set $head (i64.load (local.get $old)))
                 (if (i64.lt_s (local.get $head) (i64.const 0))
                     (then
-                        ;; It has moved: its header is the negated new place.
+                        ;; The object has moved: its header is the negated new place.
                         (i64.store (local.get $slot) (i64.sub (i64.const 0) (local.get $head)))
                         (if (i32.eq (i32.and (local.get $half) (i32.const 255)) (i32.const 8))
                             (then

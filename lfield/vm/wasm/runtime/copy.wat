@@ -56,7 +56,7 @@
             (local.set $at
                 (i32.add (local.get $source) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
             (local.set $head (i64.load (local.get $at)))
-            ;; It was found before.
+            ;; The object was found before.
             (br_if $pop (i64.lt_s (local.get $head) (i64.const 0)))
             (i64.store (local.get $found) (local.get $place))
             (i64.store offset=8 (local.get $found) (local.get $head))

@@ -9,7 +9,7 @@ import wasmtime
 
 from lfield.vm.wasm.native_calls import bind_function
 
-#: Its files: common, whole-heap operations, functions of compiled methods.
+#: The files of the runtime: common functions, whole-heap operations, functions of compiled methods.
 PARTS = ("words", "collect", "copy", "sound", "travels", "strings", "texts")
 
 
@@ -25,11 +25,11 @@ class RuntimeFunctions:
     """The runtime over one memory.
 
     Functions take and return integers, explained in the .wat files; addresses are in bytes from the beginning
-    of the memory. Any trap in them is a bug of lfield.
+    of the memory. Any trap in a function is a bug of lfield.
     """
 
     def __init__(self, code: wasmtime.Module, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
-        #: For modules that import its functions.
+        #: The instance, for modules that import its functions.
         self.instance = wasmtime.Instance(store, code, [memory])
         self.collect = bind_function(store, self.instance, "collect", 6)
         self.deep_copy = bind_function(store, self.instance, "deep_copy", 10)

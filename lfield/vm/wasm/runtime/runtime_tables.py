@@ -41,7 +41,9 @@ _SCHEMA_HEAD = struct.Struct("<5i")
 
 
 class HeaderRecord(Struct, frozen=True):
-    """Records of the objects with one lower header half; without `references`, every word after it is one."""
+    """Records of the objects with one lower header half; without `references`, every word after the header is
+    a reference.
+    """
 
     number: int
     references: Expected | None
@@ -53,7 +55,7 @@ _NOTHING = HeaderRecord(-1, ())
 
 
 def layout_tables(layouts: Layouts) -> bytes:
-    """For collector and copier. Record 0 of kind 0 has the roots in the header of a block."""
+    """The tables for collector and copier. Record 0 of kind 0 has the roots in the header of a block."""
     records = {0: HeaderRecord(0, _plain(ROOTS))}
     for half, offsets in layouts.offsets.items():
         records[half] = HeaderRecord(8 * layouts.uncopied.get(half, 0), _plain(offsets))
@@ -64,7 +66,7 @@ def layout_tables(layouts: Layouts) -> bytes:
 
 
 def schema_tables(schema: HeapSchema) -> bytes:
-    """For the verifier."""
+    """The tables for the verifier."""
     records = {}
     for half, size in schema.sizes.items():
         expects = schema.expects.get(half)

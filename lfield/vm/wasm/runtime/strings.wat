@@ -119,7 +119,7 @@
     (local.set $behind (i32.load offset=8 (local.get $second)))
     (if (call $is_long (i32.add (local.get $before) (local.get $behind)))
         (then (return (i64.const 0))))
-    ;; There are no more characters than bytes. Python counts them where that is not enough.
+    ;; A string has at most as many characters as bytes. If this bound is too large, Python counts them.
     (if (i64.gt_u
             (i64.extend_i32_u (i32.add (local.get $before) (local.get $behind)))
             (local.get $most))
