@@ -57,17 +57,17 @@ class Robot:
         if self._goal is None:
             return self._velocity
         (north, east), speed = self._goal
-        here = self.body.place
-        away = math.dist(here, (north, east))
-        way = along_axes((north - here[0], east - here[1]), self._field.world.moves)
+        place = self.body.place
+        distance = math.dist(place, (north, east))
+        way = along_axes((north - place[0], east - place[1]), self._field.world.moves)
         if self._field.world.moves:
             # Along the axis with the longer distance, at most as far as the goal.
-            away = max(abs(north - here[0]), abs(east - here[1]))
+            distance = max(abs(north - place[0]), abs(east - place[1]))
             way = (
-                math.copysign(away, way[0]) if way[0] else 0.0,
-                math.copysign(away, way[1]) if way[1] else 0.0,
+                math.copysign(distance, way[0]) if way[0] else 0.0,
+                math.copysign(distance, way[1]) if way[1] else 0.0,
             )
-        pace = min(speed, max(MIN_SPEED, away / BRAKING_TIME)) / away
+        pace = min(speed, max(MIN_SPEED, distance / BRAKING_TIME)) / distance
         return way[0] * pace, way[1] * pace
 
     def _stop(self) -> None:
