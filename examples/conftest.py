@@ -1,4 +1,4 @@
-"""Installs the drivers of the examples for their tests, as `pip install -e` would."""
+"""Makes the drivers of the examples available to their tests, as `pip install -e` does."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PROJECTS = sorted(Path(__file__).parent.rglob("pyproject.toml"))
 
 
 def project_folders(site):
-    """Folders for Python's path: the projects, and their entry points, which are written into `site`."""
+    """Writes the metadata of the projects into `site`; returns the folders for the path of Python."""
     for file in PROJECTS:
         project = tomllib.loads(file.read_text())["project"]
         name, version = project["name"], project["version"]
@@ -31,13 +31,13 @@ def project_folders(site):
 
 @pytest.fixture(scope="session")
 def projects(tmp_path_factory):
-    """The folders of `project_folders`, once for all tests."""
+    """The folders of all projects."""
     return project_folders(tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(autouse=True)
-def installed(projects, monkeypatch):
-    """For a test, and for the processes that it starts."""
+def projects_on_path(projects, monkeypatch):
+    """Adds the projects to the path of Python, for a test and for its processes."""
     for folder in projects:
         monkeypatch.syspath_prepend(folder)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*projects, os.environ.get("PYTHONPATH", "")]))

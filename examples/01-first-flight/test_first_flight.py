@@ -7,7 +7,7 @@ import math
 import pytest
 
 
-def test_copters_mirror_each_other_and_keep_their_distance(lfield_mission):
+def test_copters_fly_mirrored_legs_at_a_safe_distance(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"pilot": "done"}
@@ -15,14 +15,14 @@ def test_copters_mirror_each_other_and_keep_their_distance(lfield_mission):
     assert [(call.resource, call.arguments[2]) for call in legs] == [("lead", 2.0), ("wing", 3.5)] * 3
     for lead, wing in zip(legs[::2], legs[1::2], strict=True):
         assert lead.arguments[:2] == tuple(-part for part in wing.arguments[:2])
-        assert lead.at < wing.at < lead.ended, "both fly at the same time"
-    # Takeoff, three legs, landing: one hop to start each and one to fetch; the summary runs on the other
-    # host.
+        assert lead.at < wing.at < lead.ended, "the copters must fly at the same time"
+    # Each of the five steps (takeoff, three legs, landing) needs two hops: one to start the second call, one
+    # to fetch the first result. The summary needs one more, to the other copter.
     assert len(team.hops) == 11
     lead, wing = (team.tracks[name] for name in ("lead.fc", "wing.fc"))
-    # They start at one place, each with its own frame: separated by height there.
-    flying = [(a, b) for a, b in zip(lead, wing, strict=True) if legs[0].at < a.at < legs[-1].ended]
-    assert min(math.dist(a[1:], b[1:]) for a, b in flying) > 1.1
+    # Both copters take off at the same point; there, only their heights differ.
+    in_flight = [(a, b) for a, b in zip(lead, wing, strict=True) if legs[0].at < a.at < legs[-1].ended]
+    assert min(math.dist(a[1:], b[1:]) for a, b in in_flight) > 1.1
     assert lead[-1].up < 0.05
     assert wing[-1].up < 0.05
 
@@ -41,18 +41,18 @@ def test_failure_of_one_copter_lands_the_other(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_half_the_charge_gives_shorter_legs(lfield_mission):
-    longest = {}
+def test_low_battery_gives_shorter_legs(lfield_mission):
+    northmost = {}
     for charge in ("1.0", "0.45"):
         team = lfield_mission("mission.dL", fakes={"wing.fc": [f"battery={charge}"]})
         team.run(until_done=True)
-        longest[charge] = max(point.north for point in team.tracks["lead.fc"])
-    assert 3.5 < longest["1.0"] < 4.5
-    assert 2.0 < longest["0.45"] < 3.0
+        northmost[charge] = max(point.north for point in team.tracks["lead.fc"])
+    assert 3.5 < northmost["1.0"] < 4.5
+    assert 2.0 < northmost["0.45"] < 3.0
 
 
 @pytest.mark.few(0)
-def test_cut_link_in_flight_costs_only_time(lfield_mission):
+def test_mission_completes_after_a_link_outage_in_flight(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="lead: at")
     team.cut("alpha", "bravo")

@@ -1,11 +1,11 @@
-"""Runs the mission four times on simulated devices, with one more failed robot each time.
+"""Runs the mission four times on simulated devices, with one more failed device in each run.
 
     python examples/02-equivalent-lift/demo.py
 
-Every host is a process. Once the hook is down, the faults of the run are set with `lfield sim
-fault`, as on the command line; when `lfield query` says that the crane's host has noticed all of them, the
-cart's computer is started, and so the parcel comes. Nothing is left to a fixed time. 0 means that in every
-run the expected lift has lifted the parcel.
+Each host is a process. When the hook is down, the script sets the faults of the run with `lfield sim fault`.
+When `lfield query` shows that the crane's host has detected all faults, the script starts the cart's host,
+and the parcel arrives. No step depends on a fixed delay. The exit status is 0 if the expected robot lifted
+the parcel in every run.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from lfield.testing.keyring import Keyring
 
 MISSION = Path(__file__).with_name("mission.dL")
 HOSTS = ("yard", "air", "bench", "tool")
-#: Its computer comes with the parcel.
+#: The host that arrives with the parcel.
 CART = "cart"
-#: Seconds for one step of the mission on a busy computer.
-PATIENCE = 180.0
+#: Seconds: maximum duration of one step of the mission on a busy computer.
+STEP_TIMEOUT = 180.0
 
-#: Log lines of hosts and devices; the rest is the foreman's.
-OTHERS = re.compile(r"(\w+\.\w+: |\w+ listening |link to |waiting for |link from )")
+#: Log lines of hosts and devices. The other lines are the foreman's.
+HOST_LINE = re.compile(r"(\w+\.\w+: |\w+ listening |link to |waiting for |link from )")
 
 #: The additional failure of each run: device, fault and description.
 FAILURES = (
@@ -46,8 +46,8 @@ FAILURES = (
     ("sky.fc", "battery=0.15", "the copter's battery is low as well"),
     ("hand.motor", "dead=true", "and the hand's servo is dead"),
 )
-#: Who must lift in each run, '' for none.
-LIFTS = ("crane", "sky", "hand+arm", "")
+#: The agent that must lift in each run, '' for none.
+EXPECTED_AGENTS = ("crane", "sky", "hand+arm", "")
 
 
 class Failed(Exception):
@@ -63,18 +63,20 @@ class Host:
 
 
 class Team:
-    """The hosts of one run; all have ended when it is left."""
+    """The hosts of one run. A context manager that ends all hosts on exit."""
 
     def __init__(self, mission: Path) -> None:
         self._mission = mission
         self._maps = [f"--map={host}=127.0.0.1:{free_port()}" for host in (*HOSTS, CART)]
-        # As on several computers, each host authenticates; in the field `lfield keys` creates the keys.
+        # The hosts authenticate each other, as in the field, where `lfield keys` creates the keys.
         keyring = Keyring(mission.parent / "keys")
         self._keys = "--keys", str(keyring.give(*HOSTS, CART))
-        # Hosts with keys accept signed bundles only, as by `lfield sign`.
+        # Hosts with keys accept only signed bundles. In the field, `lfield sign` signs them.
         keyring.sign(mission)
         self._hosts: dict[str, Host] = {}
-        self._said, self._shown = threading.Condition(), sys.stdout
+        self._line_added = threading.Condition()
+        # `best_agent` redirects sys.stdout.
+        self._stdout = sys.stdout
         #: The foreman's output.
         self.lines: list[str] = []
 
@@ -87,14 +89,13 @@ class Team:
         for host in self._hosts.values():
             host.process.terminate()
         try:
-            self.ended()
+            self.wait_until_ended()
         except Failed:
             for host in self._hosts.values():
                 host.process.kill()
 
     def start(self, host: str) -> None:
-        """Starts a host, with its simulated devices."""
-        # No host waits for the cart's, which comes later, and nothing is stored beyond the run.
+        """Starts a host and its simulated devices, without storage beyond the run."""
         options = ("--sim", "--volatile", "--first-start", "--until-done", "--lost-after", "900")
         arguments = ("up", str(self._mission), "--host", host, *options, *self._maps, *self._keys)
         command = [sys.executable, "-m", "lfield", *arguments]
@@ -103,9 +104,9 @@ class Team:
         self._hosts[host] = Host(process, reader)
         reader.start()
 
-    def ended(self) -> int:
-        """Waits until all hosts have ended; returns the worst of their statuses. Raises Failed."""
-        end = time.monotonic() + PATIENCE
+    def wait_until_ended(self) -> int:
+        """Waits until all hosts have ended; returns their most severe exit status. Raises Failed."""
+        end = time.monotonic() + STEP_TIMEOUT
         for name, host in self._hosts.items():
             try:
                 host.process.wait(max(0.0, end - time.monotonic()))
@@ -115,23 +116,23 @@ class Team:
         return exit_status.most_severe(host.process.returncode for host in self._hosts.values())
 
     def wait_for(self, text: str) -> None:
-        """Waits for a text of the foreman. Raises Failed."""
-        end = time.monotonic() + PATIENCE
-        with self._said:
+        """Waits for a line of the foreman that contains a text. Raises Failed."""
+        end = time.monotonic() + STEP_TIMEOUT
+        with self._line_added:
             while not any(text in line for line in self.lines):
                 if time.monotonic() > end or any(h.process.poll() is not None for h in self._hosts.values()):
                     raise Failed(f"the foreman has not printed: {text}")
-                self._said.wait(0.2)
+                self._line_added.wait(0.2)
 
-    def best(self) -> str | None:
-        """Who would lift now, according to the crane's host: '' for none, None while unknown."""
-        question = ("query", "Lift where payload >= 0.2", "--deploy", str(self._mission), "--at", "yard")
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
-            status = lfield([*question, "--json", *self._maps, *self._keys])
+    def best_agent(self) -> str | None:
+        """The best agent for a lift, according to the crane's host: '' for none, None while unknown."""
+        query = ("query", "Lift where payload >= 0.2", "--deploy", str(self._mission), "--at", "yard")
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(io.StringIO()):
+            status = lfield([*query, "--json", *self._maps, *self._keys])
         if status not in (exit_status.DONE, exit_status.FAILED):
             return None
-        answer = json.loads(said.getvalue())
+        answer = json.loads(output.getvalue())
         if "yard" not in answer["answered"]:
             return None
         offers = answer["capabilities"][0]["offers"]
@@ -140,13 +141,12 @@ class Team:
     def _read(self, host: str, process: subprocess.Popen[str]) -> None:
         assert process.stdout
         for line in process.stdout:
-            if OTHERS.match(line):
+            if HOST_LINE.match(line):
                 continue
-            # Not to stdout, which may be redirected for an answer at that time.
-            print(f"{host:5} | {line}", end="", file=self._shown, flush=True)
-            with self._said:
+            print(f"{host:5} | {line}", end="", file=self._stdout, flush=True)
+            with self._line_added:
                 self.lines.append(line)
-                self._said.notify_all()
+                self._line_added.notify_all()
 
 
 def free_port() -> int:
@@ -155,44 +155,44 @@ def free_port() -> int:
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) != 0:
                 return port
-    raise Failed("a hundred ports between 20000 and 32000 are all taken")
+    raise Failed("no free port found between 20000 and 32000")
 
 
 def run(mission: Path, number: int) -> None:
-    """One run. Raises Failed unless the expected lift was used."""
-    expected = LIFTS[number]
+    """Runs the mission once. Raises Failed unless the expected agent lifted the parcel."""
+    expected = EXPECTED_AGENTS[number]
     with Team(mission) as team:
         team.wait_for("the parcel is coming")
-        fail(FAILURES[1 : number + 1])
-        end = time.monotonic() + PATIENCE
-        while (best := team.best()) != expected:
+        set_faults(FAILURES[1 : number + 1])
+        end = time.monotonic() + STEP_TIMEOUT
+        while (best := team.best_agent()) != expected:
             if time.monotonic() > end:
-                raise Failed(f"the hosts have not noticed the failures: {best or 'no agent'} would lift")
+                raise Failed(f"the hosts have not detected the failures: the best agent is {best or 'none'}")
             time.sleep(0.2)
         team.start(CART)
-        status = team.ended()
+        status = team.wait_until_ended()
     # The safe state of a failed device cannot be confirmed, even if the mission succeeded.
     if status != (exit_status.UNSAFE if number else exit_status.DONE):
-        raise Failed(f"the mission ended with {status}")
-    if complaint := wrong(team.lines, expected):
-        raise Failed(complaint)
+        raise Failed(f"the mission ended with exit status {status}")
+    if error := lift_error(team.lines, expected):
+        raise Failed(error)
 
 
-def wrong(said: list[str], expected: str) -> str:
-    """What is wrong with the lift according to the foreman, '' for nothing."""
-    tried, lifted = "", []
-    for line in said:
+def lift_error(lines: list[str], expected: str) -> str:
+    """The error in the foreman's output if another agent than expected lifted, otherwise ''."""
+    agent, lifted = "", []
+    for line in lines:
         if found := re.match(r"foreman: (\S+) shall lift", line):
-            tried = found[1]
+            agent = found[1]
         elif line.startswith("foreman: the parcel went up"):
-            lifted.append(tried)
+            lifted.append(agent)
     if lifted == ([expected] if expected else []):
         return ""
     return f"{' and '.join(lifted) or 'no agent'} has lifted the parcel, not {expected or 'no agent'}"
 
 
-def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
-    """Sets the faults of the simulated devices."""
+def set_faults(failures: tuple[tuple[str, str, str], ...]) -> None:
+    """Sets faults of simulated devices. Raises Failed."""
     for device, fault, description in failures:
         with open(os.devnull, "w") as null_device, contextlib.redirect_stdout(null_device):
             status = lfield(["sim", "fault", device, fault])
@@ -202,7 +202,7 @@ def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
 
 
 def main() -> int:
-    """Runs all four, until one fails."""
+    """Runs the mission four times, until a run fails."""
     with tempfile.TemporaryDirectory() as folder:
         mission = Path(folder) / "mission.lfm"
         subprocess.run(

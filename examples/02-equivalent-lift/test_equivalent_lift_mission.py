@@ -8,19 +8,19 @@ import demo
 import pytest
 
 #: Seconds after which every host has detected a fault.
-NOTICED = 8.0
-#: Each run includes the failures of the previous ones.
+DETECTION_TIME = 8.0
+#: Device and fault of each failure. Run n has the first n of them.
 FAILURES = [(device, fault) for device, fault, _ in demo.FAILURES[1:]]
 
 
-def run(lfield_mission, failures):
-    """Run the mission with failures of these robots once the hook is down; returns the team."""
+def run_with_failures(lfield_mission, failures):
+    """Run the mission; the devices fail when the hook is down. Returns the team."""
     team = lfield_mission("mission.dL")
     team.crash(demo.CART)
     team.run(until="the parcel is coming")
     for device, fault in failures:
         team.fake(device).set(fault)
-    team.run(NOTICED)
+    team.run(DETECTION_TIME)
     team.boot(demo.CART)
     team.run(until_done=True)
     assert team.ended == {"foreman": "done"}
@@ -28,14 +28,16 @@ def run(lfield_mission, failures):
 
 
 def lifts(team):
-    """The foreman's host when the parcel was up, and its height in metres."""
-    found = [(line.host, re.match(r"foreman: the parcel went up by (.*) m$", line.text)) for line in team.log]
-    return [(host, match[1]) for host, match in found if match]
+    """For each lift: the foreman's host, and the height in metres as text."""
+    matches = [
+        (line.host, re.match(r"foreman: the parcel went up by (.*) m$", line.text)) for line in team.log
+    ]
+    return [(host, match[1]) for host, match in matches if match]
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
-    ("count", "lift", "way"),
+    ("failures", "lift", "message"),
     [
         (0, ("yard", "0.8"), "crane shall lift (direct, "),
         (1, ("air", None), "equivalent: climb-lifts of Climb"),
@@ -43,34 +45,33 @@ def lifts(team):
         (3, None, "no agent can lift the parcel"),
     ],
 )
-def test_best_then_equivalent_then_composed_lift_then_none(lfield_mission, count, lift, way):
-    team = run(lfield_mission, FAILURES[:count])
-    assert team.said(way)
-    found = lifts(team)
+def test_best_then_equivalent_then_composed_lift_then_none(lfield_mission, failures, lift, message):
+    team = run_with_failures(lfield_mission, FAILURES[:failures])
+    assert team.said(message)
     if lift is None:
-        assert found == []
-        for why in ("crane: axis: no message", "sky: battery 0.15 (measured ", "hand: motor: no message"):
-            assert team.said(why)
+        assert lifts(team) == []
+        for reason in ("crane: axis: no message", "sky: battery 0.15 (measured ", "hand: motor: no message"):
+            assert team.said(reason)
         return
-    ((host, height),) = found
+    ((host, height),) = lifts(team)
     assert host == lift[0]
-    # The crane and the arm are exact; a copter is not.
+    # The height is exact for the crane and the arm, but not for the copter.
     assert height == lift[1] or (lift[1] is None and abs(float(height) - 0.8) < 0.3)
 
 
-def test_demonstration_detects_the_wrong_robot():
-    up, stale = "foreman: the parcel went up by 0.8 m\n", "foreman: crane could not: it is lost\n"
+def test_demonstration_reports_a_lift_by_the_wrong_robot():
+    lifted, failed = "foreman: the parcel went up by 0.8 m\n", "foreman: crane could not: it is lost\n"
     crane, sky = "foreman: crane shall lift (direct)\n", "foreman: sky shall lift (equivalent)\n"
-    assert demo.wrong([crane, up], "crane") == ""
-    assert demo.wrong([crane, stale, sky, up], "sky") == ""
-    assert demo.wrong(["foreman: no agent can lift the parcel\n"], "") == ""
-    assert demo.wrong([crane, up], "sky") == "crane has lifted the parcel, not sky"
-    assert demo.wrong([sky], "sky") == "no agent has lifted the parcel, not sky"
-    assert demo.wrong([sky, up], "") == "sky has lifted the parcel, not no agent"
+    assert demo.lift_error([crane, lifted], "crane") == ""
+    assert demo.lift_error([crane, failed, sky, lifted], "sky") == ""
+    assert demo.lift_error(["foreman: no agent can lift the parcel\n"], "") == ""
+    assert demo.lift_error([crane, lifted], "sky") == "crane has lifted the parcel, not sky"
+    assert demo.lift_error([sky], "sky") == "no agent has lifted the parcel, not sky"
+    assert demo.lift_error([sky, lifted], "") == "sky has lifted the parcel, not no agent"
 
 
 @pytest.mark.few(0)
-def test_substitute_copter_has_flown_the_lift(lfield_mission):
-    team = run(lfield_mission, FAILURES[:1])
+def test_substitute_copter_flies_up_and_lands(lfield_mission):
+    team = run_with_failures(lfield_mission, FAILURES[:1])
     assert max(point.up for point in team.tracks["sky.fc"]) > 1.0
     assert team.fake("sky.fc").facts["airborne"] is False

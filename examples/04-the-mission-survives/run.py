@@ -1,11 +1,11 @@
-"""Two missions on simulated devices whose computers are killed with SIGKILL in the middle of a call, side by
-side.
+"""Runs two missions at the same time, and kills hosts with SIGKILL in the middle of a call.
 
     python examples/04-the-mission-survives/run.py
 
-Under `self` a host is started again, as systemd does, and goes on; twice. Under `quorum` one never comes
-back, and another host continues without it. Each simulated device is a separate process, so it outlives the
-computer that drives it, as a real vehicle does. Each host has a journal.
+In the mission `self`, a killed host is restarted after 1 s, as by systemd, and resumes from its journal; this
+occurs twice. In the mission `quorum`, a killed host is not restarted, and another host continues the
+coordinator. Each simulated device is a separate process. So it continues when its host is killed, as a real
+vehicle does.
 """
 
 from __future__ import annotations
@@ -31,99 +31,100 @@ MISSION = {
     "serial:/dev/ttyUSB0:57600": SERVOS,
 }
 TABLE = {"serial:/dev/ttyUSB0:57600": SERVOS, "serial:/dev/ttyUSB1:57600": SERVOS}
-#: What the coordinator prints before its host is killed, the delay in seconds, the host, and the present
-#: action.
+#: Each kill: the output of the coordinator to wait for, the delay in seconds, the host, the current action.
 KILLS = (
     ("the scout is at (4, 2)", 0.8, "sky", "the copter flies back, and the coordinator is with it"),
     ("the truck is there", 1.5, "ground", "the hook goes down; this is also the coordinator's home"),
 )
-#: Seconds after which systemd restarts a host.
-AGAIN = 1.0
+#: Seconds from the kill of a host until its restart.
+RESTART_DELAY = 1.0
 
 
 class Report:
-    """The report about one mission: what happened, with times."""
+    """The events of one mission, with times."""
 
     def __init__(self, team: Team) -> None:
         self._team, self._started_at = team, time.monotonic()
-        self._rows: list[tuple[float, str, str]] = []
+        self._events: list[tuple[float, str, str]] = []
 
-    def row(self, at: float, what: str, text: str) -> None:
+    def add(self, at: float, event: str, text: str) -> None:
         """Adds an event."""
-        self._rows.append((at, what, text))
+        self._events.append((at, event, text))
 
     def after(self, at: float) -> str:
-        """A time, in words."""
+        """A time since the start of the mission, as text."""
         return f"after {at - self._started_at:.1f} s"
 
     @property
     def lines(self) -> list[str]:
-        """All events, and all exceptions of the program, in order."""
-        reported = [
-            (x.at, "told", x.text.split(": ", 2)[2]) for x in self._team.lines if ": told at" in x.text
+        """All events, and the exceptions that the program has printed, in order."""
+        exceptions = [
+            (line.at, "told", line.text.split(": ", 2)[2])
+            for line in self._team.lines
+            if ": told at" in line.text
         ]
-        return [f"{what:8} {text}" for _, what, text in sorted([*self._rows, *reported])]
+        return [f"{event:8} {text}" for _, event, text in sorted([*self._events, *exceptions])]
 
 
-def started_again(team: Team, report: Report) -> None:
-    """Each killed host is restarted, and resumes from its journal."""
-    said = 0.0
-    for text, seconds, host, what in KILLS:
-        said = team.wait_for(text, said).at
+def kill_and_restart_hosts(team: Team, report: Report) -> None:
+    """Kills hosts, and restarts each one. The coordinator resumes from the journal."""
+    reached = 0.0
+    for text, seconds, host, action in KILLS:
+        reached = team.wait_for(text, reached).at
         time.sleep(seconds)
-        killed = team.kill(host, what)
-        report.row(killed, "killed", f"{host} {report.after(killed)}: {what}")
-        time.sleep(AGAIN)
-        again = time.monotonic()
+        killed = team.kill(host, action)
+        report.add(killed, "killed", f"{host} {report.after(killed)}: {action}")
+        time.sleep(RESTART_DELAY)
+        restarted = time.monotonic()
         team.start(host)
-        back = team.wait_for("survivor resumed from the journal", again).at
-        report.row(back, "back", f"{back - again:.1f} s after the start of its new process")
+        resumed = team.wait_for("survivor resumed from the journal", restarted).at
+        report.add(resumed, "back", f"{resumed - restarted:.1f} s after the start of its new process")
     done = team.wait_for("survivor: complete").at
-    report.row(done, "complete", report.after(done))
+    report.add(done, "complete", report.after(done))
 
 
-def gone_for_good(team: Team, report: Report) -> None:
-    """The host that has the coordinator is killed, and stays away."""
-    here = team.wait_for("part 8 is in the box").host
+def kill_one_host_permanently(team: Team, report: Report) -> None:
+    """Kills the coordinator's host, and does not restart it. The coordinator continues on another host."""
+    host = team.wait_for("part 8 is in the box").host
     time.sleep(0.5)
-    killed = team.kill(here, "its arm takes part 9, and the coordinator is with it")
-    report.row(killed, "killed", f"{here} {report.after(killed)}, permanently: its arm takes part 9")
-    behind = "; ".join(output_since_arrival(team, here))
-    gone_on = team.wait_for("was recovered on", killed)
-    report.row(gone_on.at, "back", f"on {gone_on.host}, {gone_on.at - killed:.1f} s after the kill")
-    report.row(gone_on.at, "lost", f"the hop to {here}, and what came after it: {behind}")
+    killed = team.kill(host, "its arm takes part 9, and the coordinator is with it")
+    report.add(killed, "killed", f"{host} {report.after(killed)}, permanently: its arm takes part 9")
+    lost = "; ".join(output_since_arrival(team, host))
+    recovery = team.wait_for("was recovered on", killed)
+    report.add(recovery.at, "back", f"on {recovery.host}, {recovery.at - killed:.1f} s after the kill")
+    report.add(recovery.at, "lost", f"the hop to {host}, and what came after it: {lost}")
     done = team.wait_for("clearer: complete", killed).at
-    report.row(done, "complete", f"{report.after(done)}, without {here}")
+    report.add(done, "complete", f"{report.after(done)}, without {host}")
 
 
-def output_since_arrival(team: Team, here: str) -> list[str]:
-    """The coordinator's output on a host since its arrival, which its newest shadow lacks."""
-    said = [x for x in team.lines if x.text.startswith("clearer: part")]
-    elsewhere = max((number for number, x in enumerate(said) if x.host != here), default=-1)
-    return [x.text.removeprefix("clearer: ") for x in said[elsewhere + 1 :]]
+def output_since_arrival(team: Team, host: str) -> list[str]:
+    """The coordinator's output on a host since its last arrival there."""
+    parts = [line for line in team.lines if line.text.startswith("clearer: part")]
+    last_on_other = max((number for number, line in enumerate(parts) if line.host != host), default=-1)
+    return [line.text.removeprefix("clearer: ") for line in parts[last_on_other + 1 :]]
 
 
-def run(team: Team, fakes: Mapping[str, str], story: Callable[[Team, Report], None]) -> list[str]:
-    """Runs one mission; returns its report. Raises Failed."""
+def run(team: Team, fakes: Mapping[str, str], scenario: Callable[[Team, Report], None]) -> list[str]:
+    """Runs one mission; returns the lines of its report. Raises Failed."""
     report = Report(team)
     try:
         team.launch(fakes)
-        story(team, report)
+        scenario(team, report)
     finally:
         team.end()
     return report.lines
 
 
 def main() -> int:
-    """The command."""
+    """Runs both missions and prints their reports; returns the exit status."""
     with tempfile.TemporaryDirectory(prefix="lfield-survives-") as folder, ThreadPoolExecutor() as pool:
         mission = Team("self", HERE / "mission.dL", ("sky", "ground", "bench"), Path(folder))
         table = Team("quorum", HERE / "table.dL", ("port", "starboard", "tower"), Path(folder))
-        first = pool.submit(run, mission, MISSION, started_again)
+        first = pool.submit(run, mission, MISSION, kill_and_restart_hosts)
         try:
-            # Starting needs most of the processor: one after the other.
+            # The starts of both missions need much processor time, so the second one starts later.
             mission.wait_for("sky listening ")
-            second = pool.submit(run, table, TABLE, gone_for_good)
+            second = pool.submit(run, table, TABLE, kill_one_host_permanently)
             print("", "self: hosts that are started again", *first.result(), sep="\n")
             print("", "quorum: a host that never comes back", *second.result(), sep="\n")
         except Failed as failed:

@@ -1,37 +1,38 @@
-"""Computers die on virtual time: `lfield test examples/04-the-mission-survives`."""
+"""Hosts fail, on virtual time: `lfield test examples/04-the-mission-survives`."""
 
 from __future__ import annotations
 
 import pytest
 
 
-def acts(team, portal):
-    """The started calls of a portal."""
-    return [call for call in team.calls if call.portal == portal]
+def call_count(team, portal):
+    return sum(call.portal == portal for call in team.calls)
 
 
 @pytest.mark.few(0)
-def test_every_part_is_executed_once_without_failures(lfield_mission):
+def test_each_portal_is_called_once_per_step_without_failures(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.said("survivor: complete; the coordinator migrated 5 times")
     assert not team.said("told at")
-    assert [len(acts(team, portal)) for portal in ("flyTo", "driveTo", "reach", "moveTo")] == [2, 1, 2, 1]
+    assert [call_count(team, portal) for portal in ("flyTo", "driveTo", "reach", "moveTo")] == [2, 1, 2, 1]
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
-    ("said", "later", "host", "step"),
+    ("line", "seconds", "host", "step"),
     [
         ("the scout is at (4, 2)", 0.8, "sky", 2),
         ("the truck is there", 1.5, "ground", 4),
         ("the hook is down", 0.3, "bench", 5),
     ],
 )
-def test_failed_host_costs_one_call_and_the_program_is_informed(lfield_mission, said, later, host, step):
+def test_restart_of_a_host_raises_an_exception_and_the_step_is_repeated(
+    lfield_mission, line, seconds, host, step
+):
     team = lfield_mission("mission.dL")
-    team.run(until=said)
-    team.run(later)
+    team.run(until=line)
+    team.run(seconds)
     team.crash(host)
     team.run(1.0)
     team.boot(host)
@@ -57,9 +58,9 @@ def test_mission_completes_after_power_loss_of_all_computers(lfield_mission):
     assert team.said("survivor: complete") == 1
 
 
-def test_majority_continues_when_the_coordinators_host_is_lost(lfield_mission):
+def test_another_host_continues_the_coordinator_of_a_lost_host(lfield_mission):
     team = lfield_mission("table.dL")
-    # The coordinator has visited the other arm, where its copy is.
+    # After two hops, the host of the other arm has a copy of the coordinator.
     team.run(until=lambda: len(team.hops) == 2)
     team.run(0.5)
     team.power_off(team.hops[-1].target)

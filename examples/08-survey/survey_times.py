@@ -1,6 +1,6 @@
-"""Flies the survey with 1, 2 and 4 copters, and once more with a computer that is lost, in virtual time.
+"""Flies the survey in virtual time: with 1, 2 and 4 copters, and with 4 copters and the loss of a computer.
 
-`python examples/08-survey/survey_times.py` prints the table of the page and draws tracks.svg.
+`python examples/08-survey/survey_times.py` prints the table of README.md and draws tracks.svg.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from lfield.testing.script import run_script
 HERE = Path(__file__).parent
 #: The origin of the team's frame, as in the devices file.
 ORIGIN = LocalPlane(47.397742, 8.545594)
-#: Metres between two strips; the height of the pictures; what a vehicle may be beside its strip or below it.
+#: Metres: distance of two strips; height of the pictures; tolerance of a vehicle's position.
 SPACING, HEIGHT, TOLERANCE = 15.0, 25.0, 1.5
-#: The computer that is lost, and when, in seconds.
+#: The computer that is lost, and the time of its loss in seconds.
 LOST, LOST_AT = "copter1", 100.0
-#: Seconds after which a survey has failed.
-AT_MOST = 1500.0
+#: Seconds: maximum duration of a survey.
+MAX_DURATION = 1500.0
 
 
 def deployment(folder: Path, count: int, field: Sequence[Point] = ()) -> Path:
-    """A copy of the mission for so many vehicles; `field` has other corners, metres east and north."""
+    """A copy of the mission for `count` vehicles; `field` replaces the corners, metres east and north."""
     for file in (*HERE.glob("mission.*"), HERE / "field.kml"):
         shutil.copy(file, folder)
     path = folder / "mission.dL"
@@ -42,8 +42,8 @@ def deployment(folder: Path, count: int, field: Sequence[Point] = ()) -> Path:
     return path
 
 
-def photographed(team: MissionTeam) -> Iterator[tuple[Point, Point]]:
-    """The ways, east and north, at the height of the pictures, along strips flown to their end."""
+def photographed_paths(team: MissionTeam) -> Iterator[tuple[Point, Point]]:
+    """The parts of completed strips at the height of the pictures: start and end, east and north."""
     for call in team.calls:
         if call.portal != "survey" or call.ended is None or call.thrown:
             continue
@@ -54,33 +54,33 @@ def photographed(team: MissionTeam) -> Iterator[tuple[Point, Point]]:
 
 
 def uncovered(team: MissionTeam, file: Path) -> list[Point]:
-    """The points of a grid of 3 m in the area of a file that are not in any picture."""
+    """The points without a picture, of a grid of 3 m in the area of a file."""
     (shape,) = read_area_file(file.name, file.read_bytes())
     corners = ORIGIN.points(shape.corners)
-    ways = list(photographed(team))
+    paths = list(photographed_paths(team))
     columns = range(int(min(x for x, _ in corners)), int(max(x for x, _ in corners)) + 1, 3)
     rows = range(int(min(y for _, y in corners)), int(max(y for _, y in corners)) + 1, 3)
     inside = [(float(x), float(y)) for x in columns for y in rows if is_inside(corners, (x, y))]
     reach = SPACING / 2.0 + TOLERANCE
-    return [point for point in inside if not any(distance_to_way(point, *way) <= reach for way in ways)]
+    return [point for point in inside if not any(distance_to_way(point, *path) <= reach for path in paths)]
 
 
-def fly(folder: Path, count: int, *, loses: bool = False) -> str:
-    """A row of the table."""
+def table_row(folder: Path, count: int, *, with_loss: bool) -> str:
+    """Flies the survey with `count` copters; returns its row of the table."""
     path = deployment(folder, count)
     team = MissionTeam(path)
     try:
-        if loses:
+        if with_loss:
             team.at(LOST_AT, lambda: team.crash(LOST))
-        team.run(until_done=True, at_most=AT_MOST)
+        team.run(until_done=True, at_most=MAX_DURATION)
         surveys = [call for call in team.calls if call.portal == "survey"]
         seconds = max(call.ended or 0.0 for call in surveys) - min(call.at for call in surveys)
         gaps = len(uncovered(team, path.with_name("field.kml")))
-        if loses:
+        if with_loss:
             title = "survey: four copters, and the computer of m1 is lost"
             (HERE / "tracks.svg").write_text(draw(team.tracks, title, team.marks))
-        what = f"{count}, one computer is lost" if loses else str(count)
-        return f"| {what} | {seconds:.0f} s | {len(surveys)} | {gaps} |"
+        vehicles = f"{count}, one computer is lost" if with_loss else str(count)
+        return f"| {vehicles} | {seconds:.0f} s | {len(surveys)} | {gaps} |"
     finally:
         team.close()
 
@@ -88,9 +88,9 @@ def fly(folder: Path, count: int, *, loses: bool = False) -> str:
 def main() -> None:
     """Prints the table."""
     print("| vehicles | time | strips flown | points without a picture |\n|---|---:|---:|---:|")
-    for count, loses in ((4, True), (4, False), (2, False), (1, False)):
+    for count, with_loss in ((4, True), (4, False), (2, False), (1, False)):
         with tempfile.TemporaryDirectory() as folder:
-            print(fly(Path(folder), count, loses=loses), flush=True)
+            print(table_row(Path(folder), count, with_loss=with_loss), flush=True)
 
 
 if __name__ == "__main__":

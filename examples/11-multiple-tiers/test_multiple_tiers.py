@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-def test_no_cell_is_visited_twice(lfield_mission):
+def test_drone_surveys_each_cell_only_once(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     lines = {host: [line.text for line in team.log if line.host == host] for host in ("sky", "road")}

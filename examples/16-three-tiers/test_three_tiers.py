@@ -11,114 +11,110 @@ import pytest
 from lfield.testing.mission.track_picture import draw
 
 SITES = {"gate", "mast", "pump", "tank", "well", "yard"}
-#: The obstacle that the planner does not know: metres north and east, and its radius.
+#: The obstacle, of which the planner has no data: metres north and east, and its radius.
 OBSTACLE, RADIUS = (30.0, 12.0), 3.0
-
-
 DRAWING = (Path(__file__).parent / "tracks.svg").read_text(encoding="utf-8")
 
 
-def shows(svg):
-    """The lines of a picture, with start and end, to 20 pixels."""
+def line_ends(svg):
+    """Start and end of each line of a drawing, in units of 20 pixels."""
     lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', svg)]
     return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
 
 
-def inspected(team):
-    """Agents and inspected sites, in order."""
-    lines = (line.text.split() for line in team.log)
-    return [(said[0], said[2]) for said in lines if said[1:2] == ["inspects"]]
+def inspections(team):
+    """Vehicle and site of each inspection, in order."""
+    return re.findall(r"^(\w+) inspects (\w+)$", "\n".join(line.text for line in team.log), re.MULTILINE)
 
 
-def nearest(team, device="rover.fc"):
-    """The least distance of a device to the obstacle, in metres."""
-    return min(math.dist((point.north, point.east), OBSTACLE) for point in team.tracks[device])
+def obstacle_distance(team):
+    """The smallest distance of the rover from the obstacle, in metres."""
+    return min(math.dist((point.north, point.east), OBSTACLE) for point in team.tracks["rover.fc"])
 
 
-def at_home(team):
-    """Whether both are back, the copter on the ground."""
+def are_home(team):
+    """Whether both vehicles are at home, on the ground."""
     return all(math.hypot(*team.tracks[device][-1][1:]) < 2.0 for device in ("copter.fc", "rover.fc"))
 
 
+def has_left_home(team, device):
+    """Whether a device is farther than 8 m from home."""
+    track = team.tracks[device]
+    return bool(track) and math.hypot(track[-1].north, track[-1].east) > 8.0
+
+
 @pytest.mark.few(0)
-def test_copter_takes_the_site_that_the_rover_cannot_reach(lfield_mission):
+def test_copter_visits_the_site_that_the_rover_cannot_reach(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"sequencer": "done"}
-    done = inspected(team)
-    assert {site for _, site in done} == SITES
-    assert len(done) == len(SITES)
-    assert ("copter", "mast") in done
+    assert sorted(site for _, site in inspections(team)) == sorted(SITES)
+    assert ("copter", "mast") in inspections(team)
     assert team.said("rover did not come to mast: something is in the way") == 1
-    assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
-    assert at_home(team)
-    assert shows(draw(team.tracks, "three tiers", team.marks)) == shows(DRAWING), "draw it again"
-    # All hosts agree on the observations and the next step: once before the first step, and after each.
+    assert RADIUS + 2.0 < obstacle_distance(team) < RADIUS + 9.0
+    assert are_home(team)
+    drawing = draw(team.tracks, "three tiers", team.marks)
+    assert line_ends(drawing) == line_ends(DRAWING), "tracks.svg is outdated"
+    # All hosts agree on the sensor data and the next step: before the first step, and after each step.
     hosts = {hop.target for hop in team.hops}
     agreements = 1 + sum(call.portal == "learn" for call in team.calls)
     assert (len(team.hops), agreements, len(hosts)) == (23, 6, 3)
     assert len(team.hops) < agreements * len(hosts) * (len(hosts) - 1) == 36
 
 
-def gone(team, device, metres):
-    """Whether a device is farther from home than this."""
-    track = team.tracks[device]
-    return bool(track) and math.hypot(track[-1].north, track[-1].east) > metres
-
-
 @pytest.mark.few(0)
 def test_tier_one_stops_for_obstacles_without_a_query(lfield_mission):
     team = lfield_mission("mission.dL")
-    team.run(until=lambda: gone(team, "rover.fc", 8.0))
+    team.run(until=lambda: has_left_home(team, "rover.fc"))
     for other in ("sky", "tower"):
         team.cut("ground", other)
-    team.run(9.0)  # without the call it would be at the mast
-    assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
+    team.run(9.0)  # without the loop, the rover would reach the mast
+    assert RADIUS + 2.0 < obstacle_distance(team) < RADIUS + 9.0
     for other in ("sky", "tower"):
         team.heal("ground", other)
     team.run(until="rover did not come to mast: something is in the way")
-    assert nearest(team) > RADIUS + 2.0
+    assert obstacle_distance(team) > RADIUS + 2.0
 
 
 def test_tier_one_returns_on_low_battery_without_a_query(lfield_mission):
     team = lfield_mission("mission.dL")
-    team.run(until=lambda: gone(team, "copter.fc", 8.0))
-    asked = [call for call in team.calls if call.resource == "copter"]
+    team.run(until=lambda: has_left_home(team, "copter.fc"))
+    calls = [call for call in team.calls if call.resource == "copter"]
     team.fake("copter.fc").set("battery=0.29")
     team.run(until="copter is home", at_most=40.0)
-    assert asked == [call for call in team.calls if call.resource == "copter"]
+    assert calls == [call for call in team.calls if call.resource == "copter"]
     assert team.tracks["copter.fc"][-1].up < 0.1
     team.run(until_done=True)
     assert team.said("copter did not come to gate: its battery is low") == 1
-    # The rover takes the copter's sites; no vehicle reaches the mast.
-    assert sorted(inspected(team)) == [("rover", site) for site in sorted(SITES - {"mast"})]
+    # The rover visits the copter's sites; no vehicle reaches the mast.
+    assert sorted(inspections(team)) == [("rover", site) for site in sorted(SITES - {"mast"})]
 
 
 @pytest.mark.few(0)
 def test_battery_drained_by_wind_gives_a_new_plan(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"copter.fc": ["wind=9", "wind_from=0.5"]})
     team.run(until="copter is home", at_most=100.0)
-    said = [line.text for line in team.log if "copter" in line.text]
-    assert "sequencer: copter cannot go that far any more: " in said[-3]
-    assert said[-2].endswith(" and shall visit nothing")
-    assert ("copter", "mast") in inspected(team)
+    lines = [line.text for line in team.log if "copter" in line.text]
+    assert "sequencer: copter cannot go that far any more: " in lines[-3]
+    assert lines[-2].endswith(" and shall visit nothing")
+    assert ("copter", "mast") in inspections(team)
     assert team.tracks["copter.fc"][-1].up < 0.1
 
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize(
-    ("fault", "problem"),
+    ("fault", "message"),
     [
         ("fails=MemoryError", "no plan: planner: it failed: MemoryError"),
         ("nonsense=repeated", "no plan: planner: its plan is invalid: it visits a site twice: [0, 0]"),
         ("slow=1e6", "no plan in time: "),
     ],
 )
-def test_old_plan_is_used_until_the_planner_answers_again(lfield_mission, fault, problem):
+def test_old_plan_is_used_until_the_planner_answers_again(lfield_mission, fault, message):
     team = lfield_mission("mission.dL")
     team.run(until="rover can go")
     team.fake("strategist.planner").set(fault)
-    team.run(until=problem)
+    team.run(until=message)
     team.fake("strategist.planner").set("fails=", "nonsense=", "slow=0")
     team.run(until="rover inspects pump")
     team.fake("rover.fc").set("battery=0.38")
@@ -127,27 +123,27 @@ def test_old_plan_is_used_until_the_planner_answers_again(lfield_mission, fault,
 
 
 @pytest.mark.parametrize(
-    ("fault", "problem"),
+    ("fault", "message"),
     [
         ("nonsense=unknown", "no plan: planner: its plan is invalid: there is no site 6"),
         ("nonsense=long", "no plan: planner: its plan is invalid: it is 177 m long, more than 84 m"),
         ("nonsense=42", "no plan: planner: its answer is invalid: '42'"),
     ],
 )
-def test_no_vehicle_moves_without_a_plan(lfield_mission, fault, problem):
+def test_no_vehicle_moves_without_a_plan(lfield_mission, fault, message):
     team = lfield_mission("mission.dL", fakes={"strategist.planner": [fault]})
     team.run(until_done=True)
     assert team.ended == {"sequencer": "done"}
-    assert team.said(problem) == 1
-    assert inspected(team) == []
+    assert team.said(message) == 1
+    assert inspections(team) == []
     assert not team.has_moved
 
 
 def test_mission_waits_for_a_slow_planner(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"strategist.planner": ["slow=4"]})
     team.run(until="rover can go")
-    (planned,) = (call for call in team.calls if call.portal == "plan")
-    assert 8.0 < planned.ended - planned.at < 10.0
+    (plan,) = (call for call in team.calls if call.portal == "plan")
+    assert 8.0 < plan.ended - plan.at < 10.0
 
 
 def test_sequencing_coordinators_are_activated_and_deactivated(lfield_mission):
@@ -158,7 +154,7 @@ def test_sequencing_coordinators_are_activated_and_deactivated(lfield_mission):
     assert [team.said(text) for text in ("survey leg", "landed", "homing is done")] == [2, 1, 1]
 
 
-def test_nothing_starts_without_the_operator(lfield_mission):
+def test_no_coordinator_starts_without_the_operators_confirmation(lfield_mission):
     team = lfield_mission("sequences.dL")
     team.run(until_done=True)
     assert team.ended == {"director": "done"}

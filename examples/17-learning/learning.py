@@ -1,4 +1,4 @@
-"""Measures what sharing gains: teams that learn alone, and teams of different sizes that share.
+"""Measures the gain of sharing experience: a team whose pickers learn alone, and teams that share.
 
 `python examples/17-learning/learning.py` prints a table; with `--write` it also draws learning.svg.
 """
@@ -17,19 +17,19 @@ from lfield.testing.mission.mission_team import MissionTeam
 from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
-#: The number of shifts, the parts that a picker picks in one, and the belts that are averaged.
-SHIFTS, PARTS, BELTS = 30, 20, 5
-#: The rows and curves: pickers, and whether they share; with colours of Okabe and Ito (2008).
+#: The number of shifts, of parts that a picker picks in a shift, and of runs with different belts.
+SHIFTS, PARTS, RUNS = 30, 20, 5
+#: Rows and curves: number of pickers, whether they share, colour (Okabe and Ito, 2008).
 TEAMS = ((4, False, "#d55e00"), (2, True, "#e69f00"), (4, True, "#009e73"), (8, True, "#0072b2"))
-#: The share of parts that counts as learnt.
-GOOD = 0.8
-#: Pixels: size of the picture, and margin.
+#: The share of held parts at which a team counts as trained.
+TRAINED = 0.8
+#: Pixels: size of the drawing, and margin.
 WIDTH, HEIGHT, MARGIN = 640.0, 340.0, 48.0
 
 
 @dataclass(frozen=True)
-class Learnt:
-    """What a team has learnt: by shift, the share of parts that held; and its hops."""
+class TeamResult:
+    """The share of parts that a team held in each shift, and its hops."""
 
     name: str
     colour: str
@@ -37,55 +37,55 @@ class Learnt:
     hops: int
 
     @property
-    def parts(self) -> int | None:
-        """How many parts a picker has picked until four fifths hold, on average of three shifts."""
-        good = (n for n in range(len(self.held) - 2) if mean(self.held[n : n + 3]) >= GOOD)
-        first = next(good, None)
+    def parts_until_trained(self) -> int | None:
+        """The parts that each picker picks until the average of three shifts is TRAINED."""
+        shifts = (n for n in range(len(self.held) - 2) if mean(self.held[n : n + 3]) >= TRAINED)
+        first = next(shifts, None)
         return None if first is None else first * PARTS
 
 
-def run(pickers: int, shares: bool, belts: int) -> tuple[list[float], int]:
-    """One team with belts of its own: the share of parts that held in each shift, and the hops."""
-    lines = [f"//Picker:p{n}@h{n}?{1000 * belts + 103 * n + 1}" for n in range(pickers)]
-    how = "share" if shares else "alone"
-    lines.append(f"//Teacher:teacher@h0?{SHIFTS}&{how}")
+def run(pickers: int, shares: bool, seed: int) -> tuple[list[float], int]:
+    """Runs one team; returns the share of parts that held in each shift, and the hops."""
+    lines = [f"//Picker:p{n}@h{n}?{1000 * seed + 103 * n + 1}" for n in range(pickers)]
+    mode = "share" if shares else "alone"
+    lines.append(f"//Teacher:teacher@h0?{SHIFTS}&{mode}")
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "mission.L").write_bytes((HERE / "mission.L").read_bytes())
         (Path(folder) / "mission.dL").write_text("\n".join(lines) + "\n", encoding="utf-8")
         team = MissionTeam(Path(folder) / "mission.dL", keeps=False)
         try:
             team.run(until_done=True)
-            found = [re.search(r"shift \d+: (\d+) of (\d+)", line.text) for line in team.log]
-            return [int(one[1]) / int(one[2]) for one in found if one], len(team.hops)
+            matches = [re.search(r"shift \d+: (\d+) of (\d+)", line.text) for line in team.log]
+            return [int(match[1]) / int(match[2]) for match in matches if match], len(team.hops)
         finally:
             team.close()
 
 
-def measured(belts: int = BELTS) -> list[Learnt]:
-    """All teams, each averaged over runs with other belts."""
-    learnt = []
+def measure() -> list[TeamResult]:
+    """Runs all teams; each result is the average of runs with different belts."""
+    results = []
     for pickers, shares, colour in TEAMS:
-        runs = [run(pickers, shares, number) for number in range(belts)]
-        held = [mean(shift) for shift in zip(*(one for one, _ in runs), strict=True)]
+        runs = [run(pickers, shares, seed) for seed in range(RUNS)]
+        held = [mean(shift) for shift in zip(*(shifts for shifts, _ in runs), strict=True)]
         name = f"{pickers} pickers that share" if shares else f"{pickers} pickers, each alone"
-        learnt.append(Learnt(name, colour, held, runs[0][1]))
-    return learnt
+        results.append(TeamResult(name, colour, held, runs[0][1]))
+    return results
 
 
-def table(learnt: Sequence[Learnt]) -> str:
-    """The rows of the README."""
+def table(results: Sequence[TeamResult]) -> str:
+    """The table of README.md."""
     rows = [
         "| team | parts of a picker until 80 % hold | held in the first 200 | in the next 400 | hops |",
         "|---|---:|---:|---:|---:|",
     ]
-    for one in learnt:
-        early, late = mean(one.held[: 200 // PARTS]), mean(one.held[200 // PARTS :])
-        rows.append(f"| {one.name} | {one.parts} | {early:.0%} | {late:.0%} | {one.hops} |")
+    for team in results:
+        early, late = mean(team.held[: 200 // PARTS]), mean(team.held[200 // PARTS :])
+        rows.append(f"| {team.name} | {team.parts_until_trained} | {early:.0%} | {late:.0%} | {team.hops} |")
     return "\n".join(rows)
 
 
-def draw(learnt: Sequence[Learnt]) -> str:
-    """An SVG: the share of parts that held, over the parts that each picker has picked."""
+def draw(results: Sequence[TeamResult]) -> str:
+    """An SVG of the share of parts that held, over the number of parts that each picker has picked."""
     right, bottom = WIDTH - MARGIN, HEIGHT - MARGIN
     parts = []
     for percent in range(0, 101, 20):
@@ -95,11 +95,11 @@ def draw(learnt: Sequence[Learnt]) -> str:
     for count in range(0, SHIFTS * PARTS + 1, 100):
         parts.append(_text(_x(count / PARTS) - 8, bottom + 18, str(count)))
     parts.append(_text(MARGIN, bottom + 38, "parts that each picker has picked"))
-    parts.append(_text(MARGIN, 24, f"parts that held, average of {BELTS} runs"))
-    for n, one in enumerate(learnt):
-        points = " ".join(f"{_x(shift + 1):.1f},{_y(share):.1f}" for shift, share in enumerate(one.held))
-        parts.append(f'<polyline points="{points}" fill="none" stroke="{one.colour}"/>')
-        parts.append(_text(right - 170, bottom - 80 + 18 * n, one.name, one.colour))
+    parts.append(_text(MARGIN, 24, f"parts that held, average of {RUNS} runs"))
+    for n, team in enumerate(results):
+        points = " ".join(f"{_x(shift + 1):.1f},{_y(share):.1f}" for shift, share in enumerate(team.held))
+        parts.append(f'<polyline points="{points}" fill="none" stroke="{team.colour}"/>')
+        parts.append(_text(right - 170, bottom - 80 + 18 * n, team.name, team.colour))
     body = "\n".join(parts)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" width="{WIDTH:.0f}" '
@@ -121,14 +121,14 @@ def _text(x: float, y: float, text: str, colour: str = "#222") -> str:
 
 
 def main() -> None:
-    """Print the table, and draw the picture."""
+    """Prints the table, and draws the picture if required."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help="draw learning.svg")
     args = parser.parse_args()
-    learnt = measured()
+    results = measure()
     if args.write:
-        (HERE / "learning.svg").write_text(draw(learnt), encoding="utf-8")
-    print(table(learnt))
+        (HERE / "learning.svg").write_text(draw(results), encoding="utf-8")
+    print(table(results))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Marches over terrain that slows rovers, and through wind that moves copters.
+"""Runs the march on terrain that slows rovers, and in wind that moves copters.
 
-`python examples/20-formation/terrain_marches.py` prints a table.
+`python examples/20-formation/terrain_marches.py` prints the table of README.md.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
 ROVERS, COPTERS = ("dan", "eve"), ("ada", "bob", "cat")
-#: Seconds between two looks at the ground below a vehicle.
-STEP = 0.5
-#: What the ground and the air at a place are: faults of the simulated devices, by north and east in metres.
+#: Seconds between two updates of the ground and wind at a vehicle.
+UPDATE_INTERVAL = 0.5
+#: Ground and wind at a position, north and east in metres, as settings of the simulated devices.
 Terrain = Callable[[float, float], Mapping[str, float]]
 
 
@@ -28,18 +28,18 @@ def flat(north: float, east: float) -> Mapping[str, float]:
 
 
 def mud(north: float, east: float) -> Mapping[str, float]:
-    """A stripe of mud, 8 m wide, in which rovers have 40 % of their speed."""
+    """A stripe of mud, 8 m wide, where rovers have 40 % of their speed."""
     return {"ground": 0.4 if 4.0 <= north <= 12.0 else 1.0, "wind": 0.0}
 
 
 def hill(north: float, east: float) -> Mapping[str, float]:
-    """A round hill at (12, 12) with a radius of 10 m: the nearer to its top, the slower are rovers."""
+    """A round hill at (12, 12) with a radius of 10 m, where rovers have down to 30 % of their speed."""
     height = max(0.0, 1.0 - math.hypot(north - 12.0, east - 12.0) / 10.0)
     return {"ground": 1.0 - 0.7 * height, "wind": 0.0}
 
 
 def valley(north: float, east: float) -> Mapping[str, float]:
-    """Wind of 7 m/s from the west with gusts, east of a ridge at 9 m, and mud behind it."""
+    """East of a ridge at 9 m: wind of 7 m/s from the west, and mud."""
     return {"ground": 0.5 if east > 9.0 else 1.0, "wind": 7.0 if east > 9.0 else 0.0}
 
 
@@ -52,8 +52,8 @@ TERRAINS: tuple[tuple[str, Terrain], ...] = (
 
 
 @dataclass(frozen=True)
-class March:
-    """A march: how many arrived, its end in s, the greatest distance from the middle in m, hops."""
+class MarchResult:
+    """The robots that arrived, the duration in s, the largest distance from the centre in m, the hops."""
 
     arrived: int
     seconds: float
@@ -61,55 +61,57 @@ class March:
     hops: int
 
 
-def march(terrain: Terrain, seed: int = 0) -> March:
-    """The march of the example on a terrain."""
-    team = MissionTeam(HERE / "mission.dL", seed=seed)
+def march(terrain: Terrain) -> MarchResult:
+    """Runs the march on a terrain."""
+    team = MissionTeam(HERE / "mission.dL")
     try:
-        for who in COPTERS:
-            team.fake(f"{who}.fc").set("wind_from=4.7")
+        for robot in COPTERS:
+            team.fake(f"{robot}.fc").set("wind_from=4.7")
         while "march" not in team.ended:
-            team.run(STEP)
-            for who in (*ROVERS, *COPTERS):
-                track = team.tracks[f"{who}.fc"]
+            team.run(UPDATE_INTERVAL)
+            for robot in (*ROVERS, *COPTERS):
+                track = team.tracks[f"{robot}.fc"]
                 if track:
-                    here = terrain(track[-1].north, track[-1].east)
-                    kind = "ground" if who in ROVERS else "wind"
-                    team.fake(f"{who}.fc").set(f"{kind}={here[kind]:g}")
+                    conditions = terrain(track[-1].north, track[-1].east)
+                    setting = "ground" if robot in ROVERS else "wind"
+                    team.fake(f"{robot}.fc").set(f"{setting}={conditions[setting]:g}")
         reports = [line for line in team.log if " is at (" in line.text]
         first, last = reports[0], reports[-1]
-        many = int(last.text.split(" of ")[1].split()[0])
-        return March(many, last.at, _spread(team, first.at, last.at), len(team.hops))
+        arrived = int(last.text.split(" of ")[1].split()[0])
+        return MarchResult(arrived, last.at, _spread(team, first.at, last.at), len(team.hops))
     finally:
         team.close()
 
 
-def _spread(team: MissionTeam, since: float, until: float) -> float:
-    """The greatest distance of a vehicle from the middle of all, while they march, in metres."""
-    tracks = [team.tracks[f"{who}.fc"] for who in (*ROVERS, *COPTERS)]
-    times = [point.at for point in tracks[0] if since <= point.at <= until]
-    most = 0.0
-    for moment in times[::5]:
-        places = [min(track, key=lambda point: abs(point.at - moment)) for track in tracks]
-        middle = _middle(places)
-        most = max(most, *(math.dist((p.north, p.east), middle) for p in places))
-    return most
+def _spread(team: MissionTeam, start: float, end: float) -> float:
+    """The largest distance of a robot from the centre of all robots between two times, in metres."""
+    tracks = [team.tracks[f"{robot}.fc"] for robot in (*ROVERS, *COPTERS)]
+    times = [point.at for point in tracks[0] if start <= point.at <= end]
+    largest = 0.0
+    for time in times[::5]:
+        places = [min(track, key=lambda point: abs(point.at - time)) for track in tracks]
+        centre = _centre(places)
+        largest = max(largest, *(math.dist((p.north, p.east), centre) for p in places))
+    return largest
 
 
-def _middle(places: list[Point]) -> tuple[float, float]:
+def _centre(places: list[Point]) -> tuple[float, float]:
     count = len(places)
     return sum(p.north for p in places) / count, sum(p.east for p in places) / count
 
 
-def row(name: str, found: March) -> str:
+def table_row(name: str, result: MarchResult) -> str:
     """A row of the table."""
-    return f"| {name} | {found.arrived} of 5 | {found.seconds:.0f} s | {found.spread:.1f} m | {found.hops} |"
+    return (
+        f"| {name} | {result.arrived} of 5 | {result.seconds:.0f} s | {result.spread:.1f} m | {result.hops} |"
+    )
 
 
 def main() -> None:
-    """Print the table."""
-    print("| terrain | arrive | time | farthest from the middle | hops |\n|---|---:|---:|---:|---:|")
+    """Prints the table."""
+    print("| terrain | arrive | time | largest distance from the centre | hops |\n|---|---:|---:|---:|---:|")
     for name, terrain in TERRAINS:
-        print(row(name, march(terrain)), flush=True)
+        print(table_row(name, march(terrain)), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Boxes on slopes and in mud: how near to its goal three rovers bring one.
+"""Runs the mission on slopes and in mud, and measures the final distance of the box from its goal.
 
-`python examples/21-box-pushing/terrain_pushes.py` prints a table.
+`python examples/21-box-pushing/terrain_pushes.py` prints the table of README.md.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lfield.testing.script import run_script
 HERE = Path(__file__).parent
 #: Goal of the box: north, east (m), heading (rad).
 GOAL = (3.0, 1.0, 0.5)
-#: Each row: what differs, and the world of the plane (`world.py`).
+#: Each row: title, and the world of the plane (`world.py`).
 TERRAINS: tuple[tuple[str, str], ...] = (
     ("flat", ""),
     ("slope of 3 % to the east", "slope=0.03"),
@@ -31,25 +31,25 @@ TERRAINS: tuple[tuple[str, str], ...] = (
 
 
 @dataclass(frozen=True)
-class Push:
-    """The end of a push: distance from the goal (m), heading error (rad), steps, hops."""
+class PushResult:
+    """Distance of the box from its goal in m, heading error in rad, steps, hops."""
 
-    away: float
-    turned: float
+    distance: float
+    heading_error: float
     steps: int
     hops: int
 
 
-def push(world: str, seed: int = 0) -> Push:
-    """One push on a terrain, with the program of the example."""
+def push(world: str) -> PushResult:
+    """Runs the mission of the example on a terrain."""
     devices = (HERE / "mission.devices.yaml").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
+        copy = Path(folder)
         for name in ("mission.L", "mission.dL"):
-            (place / name).write_bytes((HERE / name).read_bytes())
-        changed = re.sub(r"(robot: \d),", rf'\1, world: "{world}",', devices)
-        (place / "mission.devices.yaml").write_text(changed, encoding="utf-8")
-        team = MissionTeam(place / "mission.dL", seed=seed)
+            (copy / name).write_bytes((HERE / name).read_bytes())
+        devices = re.sub(r"(robot: \d),", rf'\1, world: "{world}",', devices)
+        (copy / "mission.devices.yaml").write_text(devices, encoding="utf-8")
+        team = MissionTeam(copy / "mission.dL")
         try:
             team.run(until_done=True)
             (line,) = [line.text for line in team.log if "the box is at" in line.text]
@@ -57,19 +57,20 @@ def push(world: str, seed: int = 0) -> Push:
             team.close()
     north, east, heading = map(float, re.findall(r"-?\d+\.\d+", line))
     steps, hops = map(int, re.findall(r"after (\d+) steps and (\d+) hops", line)[0])
-    return Push(math.dist((north, east), GOAL[:2]), abs(heading - GOAL[2]), steps, hops)
+    return PushResult(math.dist((north, east), GOAL[:2]), abs(heading - GOAL[2]), steps, hops)
 
 
-def row(name: str, end: Push) -> str:
+def table_row(name: str, result: PushResult) -> str:
     """A row of the table."""
-    return f"| {name} | {end.away:.2f} m | {end.turned:.2f} rad | {end.steps} | {end.hops} |"
+    errors = f"{result.distance:.2f} m | {result.heading_error:.2f} rad"
+    return f"| {name} | {errors} | {result.steps} | {result.hops} |"
 
 
 def main() -> None:
-    """Print the table."""
-    print("| terrain | from the goal | heading error | steps | hops |\n|---|---:|---:|---:|---:|")
+    """Prints the table."""
+    print("| terrain | distance from the goal | heading error | steps | hops |\n|---|---:|---:|---:|---:|")
     for name, world in TERRAINS:
-        print(row(name, push(world)), flush=True)
+        print(table_row(name, push(world)), flush=True)
 
 
 if __name__ == "__main__":

@@ -7,36 +7,36 @@ import math
 import pytest
 import terrain_pushes
 
-#: Goal of the box, and tolerances: metres and radians.
-GOAL, NEAR, STRAIGHT = (3.0, 1.0, 0.5), 0.05, 0.05
+#: The goal of the box, and tolerances of its position in m and heading in rad.
+GOAL, TOLERANCE, HEADING_TOLERANCE = (3.0, 1.0, 0.5), 0.05, 0.05
 
 
-def pose(team):
-    """The final pose of the box, as a rover sees it."""
+def final_pose(team):
+    """The final pose of the box, as measured by a rover."""
     calls = [call for call in team.calls if call.portal in ("look", "driveTo") and call.result is not None]
     return calls[-1].result.target
 
 
-def arrived(team):
+def assert_box_at_goal(team):
     assert team.ended == {"movers": "done"}
-    north, east, heading = pose(team)
-    assert math.dist((north, east), GOAL[:2]) < NEAR
-    assert abs(heading - GOAL[2]) < STRAIGHT
+    north, east, heading = final_pose(team)
+    assert math.dist((north, east), GOAL[:2]) < TOLERANCE
+    assert abs(heading - GOAL[2]) < HEADING_TOLERANCE
 
 
 def test_box_reaches_its_goal_pose(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
-    arrived(team)
-    assert math.dist(team.fake("box").place[:2], GOAL[:2]) < NEAR, "the simulated plane agrees"
-    # Two hops for each rover but one in a step; broadcasting would take N(N-1) = 6 messages.
+    assert_box_at_goal(team)
+    assert math.dist(team.fake("box").place[:2], GOAL[:2]) < TOLERANCE, "the true position must agree"
+    # A step needs 2(N-1) = 4 hops.
     steps = sum(call.portal == "driveTo" for call in team.calls) // 3
     assert 20 < steps < 30
     assert len(team.hops) <= 4 * steps + 1
 
 
 @pytest.mark.few(0)
-def test_all_rovers_of_a_step_drive_at_the_same_time(lfield_mission):
+def test_all_rovers_drive_at_the_same_time_in_each_step(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     drives = [call for call in team.calls if call.portal == "driveTo"]
@@ -45,67 +45,67 @@ def test_all_rovers_of_a_step_drive_at_the_same_time(lfield_mission):
 
 
 @pytest.mark.few(0)
-@pytest.mark.parametrize("who", ["left", "middle", "right"])
-def test_weak_rover_is_compensated(lfield_mission, who):
-    team = lfield_mission("mission.dL", fakes={f"{who}.wheels": ["weak=0.3"]})
+@pytest.mark.parametrize("rover", ["left", "middle", "right"])
+def test_box_arrives_with_a_weak_rover(lfield_mission, rover):
+    team = lfield_mission("mission.dL", fakes={f"{rover}.wheels": ["weak=0.3"]})
     team.run(until_done=True)
-    arrived(team)
+    assert_box_at_goal(team)
     assert not team.said("pushes no more")
 
 
 @pytest.mark.few(0)
-@pytest.mark.parametrize("who", ["left", "middle", "right"])
+@pytest.mark.parametrize("rover", ["left", "middle", "right"])
 @pytest.mark.parametrize("fault", ["broken", "silent"])
-def test_failed_rover_is_left_behind_and_two_continue(lfield_mission, who, fault):
+def test_failed_rover_is_left_behind_and_two_continue(lfield_mission, rover, fault):
     team = lfield_mission("mission.dL")
-    team.at(12.0, lambda: team.fake(f"{who}.wheels").set(f"{fault}=true"))
+    team.at(12.0, lambda: team.fake(f"{rover}.wheels").set(f"{fault}=true"))
     team.run(until_done=True)
-    arrived(team)
-    assert team.said(f"{who} pushes no more") == 1
-    assert math.dist(team.fake(f"{who}.wheels").place[:2], GOAL[:2]) > 1.0
+    assert_box_at_goal(team)
+    assert team.said(f"{rover} pushes no more") == 1
+    assert math.dist(team.fake(f"{rover}.wheels").place[:2], GOAL[:2]) > 1.0
 
 
-def test_rover_without_its_computer_stops_and_two_continue(lfield_mission):
+def test_rover_with_a_lost_computer_stops_and_two_continue(lfield_mission):
     team = lfield_mission("mission.dL")
     team.at(12.0, lambda: team.crash("port"))
     team.run(14.0)
-    stood = team.fake("left.wheels").place
+    stopped = team.fake("left.wheels").place
     team.run(until_done=True)
-    arrived(team)
+    assert_box_at_goal(team)
     assert team.said("left pushes no more: port could not be reached") == 1
-    assert math.dist(team.fake("left.wheels").place, stood) < 0.3, "it was only displaced by contact"
+    assert math.dist(team.fake("left.wheels").place, stopped) < 0.3  # only displaced by contact
 
 
-def test_single_rover_gives_up_and_reports_the_position_of_the_box(lfield_mission):
-    team = lfield_mission("mission.dL", fakes={f"{who}.wheels": ["broken=true"] for who in ("left", "right")})
+def test_single_rover_stops_and_reports_the_position_of_the_box(lfield_mission):
+    team = lfield_mission(
+        "mission.dL", fakes={f"{rover}.wheels": ["broken=true"] for rover in ("left", "right")}
+    )
     team.run(until_done=True)
     assert team.ended == {"movers": "done"}
     assert team.said("the box is at (0.00, 0.00)") == 1
 
 
-def test_tracked_objects_keep_the_order_of_their_fake(lfield_mission):
-    """Colours of a picture depend on it: the order of a set would differ between processes."""
+def test_tracks_have_the_order_of_the_simulated_device(lfield_mission):
+    """The order determines the colours of a drawing, so it must be the same in each process."""
     team = lfield_mission("mission.dL")
     team.run(0.5)
-    assert [name for name in team.tracks if name.startswith("box")] == [
-        "box",
-        "box, left end",
-        "box, right end",
-    ]
+    names = [name for name in team.tracks if name.startswith("box")]
+    assert names == ["box", "box, left end", "box, right end"]
 
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize(
-    ("world", "away", "turned"), [("slope=0.03", 0.1, 0.3), ("mud=2", 0.05, 0.05), ("slope=-0.06", 0.1, 0.4)]
+    ("world", "distance", "heading_error"),
+    [("slope=0.03", 0.1, 0.3), ("mud=2", 0.05, 0.05), ("slope=-0.06", 0.1, 0.4)],
 )
-def test_box_is_pushed_over_terrain(world, away, turned):
-    """On a slope the box points uphill, since pushing robots exert no lateral force."""
-    end = terrain_pushes.push(world)
-    assert end.away < away
-    assert end.turned < turned
-    assert end.steps < 30
+def test_box_is_pushed_over_terrain(world, distance, heading_error):
+    """On a slope the box points uphill, because pushing robots exert no lateral force."""
+    result = terrain_pushes.push(world)
+    assert result.distance < distance
+    assert result.heading_error < heading_error
+    assert result.steps < 30
 
 
 @pytest.mark.few(0)
 def test_heavy_mud_stops_three_rovers():
-    assert terrain_pushes.push("mud=3").away > 1.0
+    assert terrain_pushes.push("mud=3").distance > 1.0

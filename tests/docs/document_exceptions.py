@@ -222,7 +222,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "pip install -e examples/21-box-pushing": ARENA,
         "lfield up --deploy examples/22-predators/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/22-predators": ARENA,
-        "python examples/22-predators/hunts.py": ARENA,
+        "python examples/22-predators/hunt_statistics.py": ARENA,
         "west  | hunt: caught by 4 at (4.0, 0.1) after 18 steps and 111 hops": ARENA,
     },
     "examples/23-soccer/README.md": {

@@ -20,10 +20,10 @@ def _fixtures_of_examples() -> tuple[object, object]:
     assert spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.projects, module.installed
+    return module.projects, module.projects_on_path
 
 
-projects, installed = _fixtures_of_examples()
+projects, projects_on_path = _fixtures_of_examples()
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The driver 'gps': devices of the type Gps, receivers that use NMEA 0183. See README.md."""
+"""The driver 'gps' for GNSS receivers with NMEA 0183, devices of the type Gps. See README.md."""
 
 from lfield.driver import Plugin
 

@@ -1,4 +1,4 @@
-"""One receiver on one serial port, `serial:PATH:BAUD`. It sends by itself; nothing is sent to it."""
+"""The driver of one receiver on a serial port, `serial:PATH:BAUD`. The driver only receives."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 
 from lfield.driver import Device, DeviceBinding, Driver
 from lfield.driver.serial import Lines, SerialLine
-from lfield_gps.nmea import LONGEST, Nonsense, parse
+from lfield_gps.nmea import LONGEST, InvalidSentence, parse
 
-#: Seconds between two checks, and without a valid sentence after which it is lost.
+#: Seconds: interval of checks; time without a valid sentence after which the receiver counts as lost.
 CHECK_INTERVAL, SILENCE = 0.1, 3.0
 
 
 class GpsDriver(Driver):
-    """The port and its framer: a sentence is a line."""
+    """The serial port; each line is a sentence."""
 
     def _set_up(self) -> None:
         self._line = SerialLine(
@@ -50,7 +50,7 @@ class GpsDriver(Driver):
 
 
 class GpsDevice(Device):
-    """A receiver. A pure sensor: no safe state, no watchdog, no motion."""
+    """A receiver: a pure sensor, without safe state, watchdog or motion."""
 
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
@@ -60,10 +60,10 @@ class GpsDevice(Device):
         self._lost = False
 
     def on_line(self, line: bytes) -> None:
-        """Handles a line of the port; invalid lines are counted and dropped."""
+        """Publishes the values of a line; counts and drops invalid lines."""
         try:
             values = parse(line)
-        except Nonsense:
+        except InvalidSentence:
             self.malformed += 1
             self.publish(malformed=self.malformed)
             return
@@ -73,14 +73,13 @@ class GpsDevice(Device):
         self.publish(**values)
 
     async def watch(self) -> None:
-        """Logs loss and recovery of the receiver."""
+        """Logs the loss and the recovery of the receiver."""
         while True:
             await asyncio.sleep(CHECK_INTERVAL)
             silent = self._received_at is not None and self.clock.monotonic() - self._received_at > SILENCE
             if silent != self._lost:
                 self._lost = silent
                 self.note("no sentence for 3 s" if silent else "heard again")
-                # An earlier fix is outdated.
                 self._fix = "" if silent else self._fix
 
     async def _open(self) -> str:
@@ -98,7 +97,7 @@ class GpsDevice(Device):
         return f"NMEA receiver, fix: {self._fix or 'not known yet'}"
 
     async def do_wait_fix(self, seconds: float) -> bool:
-        """Waits for a fix."""
+        """Waits for a fix; returns False if there is none within the time."""
         end = self.clock.monotonic() + seconds
         while self._fix in ("", "none"):
             if not self.clock.monotonic() < end:

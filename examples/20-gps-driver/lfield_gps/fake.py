@@ -1,4 +1,4 @@
-"""A simulated receiver on a pseudo-terminal, as behind a USB adapter: it drives in a circle."""
+"""A simulated receiver on a pseudo-terminal, as behind a USB adapter. It moves on a circle."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Fault, Faults, add_fault_option, share
 from lfield_sim.terminal import Terminal
 
-#: Centre of the circle in degrees and metres; its radius in metres, and the speed in m/s.
+#: Centre of the circle in degrees and metres; radius in metres; speed in m/s.
 LATITUDE, LONGITUDE, HEIGHT, RADIUS, SPEED = 47.397742, 8.545594, 488.0, 20.0, 2.0
 #: Metres of a degree of latitude.
 DEGREE = 111_320.0
 #: The number of the simulated receiver.
 NUMBER = "1"
-#: Baud: at ten times a second its three sentences are 2,000 bytes, too many for 9,600.
+#: Ten times a second, the three sentences have 2,000 bytes/s, too many for 9,600 baud.
 BAUD = 38_400
 START = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
 
@@ -38,7 +38,7 @@ FAULTS = (
 
 
 def sentences(seconds: float, *, fix: bool = True) -> bytes:
-    """Its sentences after so many seconds: GGA, GSA and RMC."""
+    """The sentences GGA, GSA and RMC at a time since the start."""
     angle = SPEED / RADIUS * seconds
     north, east = on_circle(seconds)
     latitude = LATITUDE + north / DEGREE
@@ -58,7 +58,7 @@ def sentences(seconds: float, *, fix: bool = True) -> bytes:
 
 
 def on_circle(seconds: float) -> tuple[float, float]:
-    """Its position at that time: metres north and east of the centre."""
+    """The position at a time since the start: metres north and east of the centre."""
     angle = SPEED / RADIUS * seconds
     return RADIUS * math.cos(angle), RADIUS * math.sin(angle)
 
@@ -69,47 +69,45 @@ def _minutes(degrees: float, digits: int) -> str:
 
 
 class Receiver:
-    """The receiver at its adapter; `path` is a link to the terminal, unchanged after an unplug."""
+    """The receiver and its adapter; `path` is a link to the terminal, also after it is plugged in again."""
 
     def __init__(self, path: Path, faults: Faults, rate: float) -> None:
         self._faults, self._rate = faults, rate
-        # Received data is ignored.
-        self._terminal = Terminal(path, lambda data, baud: None)
-        self._random = random.Random(1)
+        self._terminal = Terminal(path, lambda data, baud: None)  # ignores received data
+        self._rng = random.Random(1)
         self._seconds = 0.0
 
     @property
     def place(self) -> tuple[float, float, float]:
-        """Its position: metres north, east and up of the centre."""
+        """The position: metres north, east and up of the centre."""
         return *on_circle(self._seconds), 0.0
 
     async def run(self) -> None:
         """Sends sentences `rate` times a second."""
         while True:
-            self.be_plugged(not self._wrong("unplug"))
-            if not self._wrong("silent"):
-                self._terminal.write(self._damaged(sentences(self._seconds, fix=not self._wrong("no_fix"))))
+            self.set_plugged(not self._fault("unplug"))
+            if not self._fault("silent"):
+                self._terminal.write(self._damaged(sentences(self._seconds, fix=not self._fault("no_fix"))))
             await asyncio.sleep(1.0 / self._rate)
             self._seconds += 1.0 / self._rate
 
-    def be_plugged(self, plugged: bool) -> None:
-        """Plugs it in, or unplugs it: then a client gets an input/output error. Raises AddressError."""
+    def set_plugged(self, plugged: bool) -> None:
+        """Plugs the adapter in, or unplugs it, so that a client gets an input/output error.
+
+        Raises AddressError.
+        """
         if plugged:
             self._terminal.plug()
         else:
             self._terminal.unplug()
 
-    def _wrong(self, name: str) -> Any:
+    def _fault(self, name: str) -> Any:
         return self._faults.get(name, NUMBER)
 
-    def _damaged(self, said: bytes) -> bytes:
-        noise, half = self._wrong("noise"), self._wrong("half")
-        lines = [
-            line[: len(line) // 2] if self._random.random() < half else line for line in said.splitlines(True)
-        ]
-        return bytes(
-            self._random.randrange(256) if self._random.random() < noise else byte for byte in b"".join(lines)
-        )
+    def _damaged(self, data: bytes) -> bytes:
+        noise, half, rng = self._fault("noise"), self._fault("half"), self._rng
+        lines = [line[: len(line) // 2] if rng.random() < half else line for line in data.splitlines(True)]
+        return bytes(rng.randrange(256) if rng.random() < noise else byte for byte in b"".join(lines))
 
 
 class GpsSim:
@@ -127,7 +125,7 @@ class GpsSim:
         add_fault_option(parser)
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """The simulated device of a binding."""
+        """The command line of the simulated device of a binding."""
         return ["--called", devices[0].name]
 
     def run(self, args: argparse.Namespace) -> int:
@@ -138,13 +136,13 @@ class GpsSim:
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """As `run`, on a running loop, which may have virtual time in a test."""
+        """Serves in the running event loop, for example of a test with virtual time."""
         faults = Faults(FAULTS, {NUMBER: args.called})
         faults.apply(args.fault)
         path = args.listen or f"/dev/{args.called or 'gps'}"
         receiver = Receiver(Path(path), faults, min(10.0, max(1.0, args.rate)))
-        receiver.be_plugged(True)
-        speaking = asyncio.get_running_loop().create_task(receiver.run())
+        receiver.set_plugged(True)
+        sending = asyncio.get_running_loop().create_task(receiver.run())
         await serve_until_stopped(
             "gps",
             f"serial:{path}:{BAUD}",
@@ -154,8 +152,8 @@ class GpsSim:
             until_stdin_closes=args.until_stdin_closes,
             places={NUMBER: lambda: receiver.place},
         )
-        speaking.cancel()
-        receiver.be_plugged(False)
+        sending.cancel()
+        receiver.set_plugged(False)
 
 
 SIM = GpsSim()

@@ -1,7 +1,7 @@
-"""NMEA 0183 sentences of GNSS receivers: GGA, RMC and GSA. Pure.
+"""Parser of NMEA 0183 sentences of GNSS receivers: GGA, RMC and GSA. Pure.
 
 `$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47`: talker, type, fields, and the XOR of all
-characters between `$` and `*`. Unknown fields are empty and not reported.
+characters between `$` and `*`. Empty fields are unknown values, which are omitted from the result.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 Value = float | int | str | list[float]
 Values = dict[str, Value]
 
-#: Bytes of the longest sentence; the standard says 82, receivers send slightly more.
+#: Bytes: maximum length of a sentence. The standard allows 82; some receivers send more.
 LONGEST = 120
 #: m/s per knot.
 KNOT = 1852.0 / 3600.0
@@ -21,8 +21,8 @@ KNOT = 1852.0 / 3600.0
 FIXES = ("none", "gps", "dgps", "pps", "rtk", "float rtk", "estimated", "manual", "simulated")
 
 
-class Nonsense(ValueError):
-    """A damaged sentence, or one with impossible values."""
+class InvalidSentence(ValueError):
+    """A damaged sentence, or a sentence with impossible values."""
 
 
 def checksum(text: str) -> int:
@@ -39,16 +39,16 @@ def sentence(text: str) -> bytes:
 
 
 def parse(line: bytes) -> Values:
-    """The telemetry of a sentence; empty for unknown types. Raises Nonsense."""
+    """The telemetry of a sentence; empty for unknown types. Raises InvalidSentence."""
     try:
         text = line.strip().decode("ascii")
     except UnicodeDecodeError:
-        raise Nonsense("bytes that are not text") from None
+        raise InvalidSentence("bytes that are not text") from None
     body, star, given = text[1:].rpartition("*")
     if not text.startswith("$") or not star or len(given) != 2:
-        raise Nonsense("no sentence")
+        raise InvalidSentence("no sentence")
     if given.upper() != f"{checksum(body):02X}":
-        raise Nonsense("a wrong checksum")
+        raise InvalidSentence("a wrong checksum")
     name, *fields = body.split(",")
     reader = READERS.get(name[-3:]) if len(name) == 5 else None
     if reader is None:
@@ -56,7 +56,7 @@ def parse(line: bytes) -> Values:
     try:
         return reader(fields)
     except (ValueError, IndexError, OverflowError):
-        raise Nonsense(f"an invalid {name}") from None
+        raise InvalidSentence(f"an invalid {name}") from None
 
 
 def _gga(fields: Sequence[str]) -> Values:
@@ -71,7 +71,7 @@ def _gga(fields: Sequence[str]) -> Values:
 
 
 def _rmc(fields: Sequence[str]) -> Values:
-    """Time and date, speed and course; status V is a warning: all is ignored."""
+    """Time and date, speed and course; without speed and course if the status is V, a warning."""
     values: Values = {}
     if fields[0] and fields[8]:
         when = datetime.strptime(fields[8] + fields[0][:6], "%d%m%y%H%M%S").replace(tzinfo=UTC)

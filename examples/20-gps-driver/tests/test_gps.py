@@ -1,5 +1,4 @@
-"""The GPS driver: its sentences, the simulated device at the other end of a pseudo-terminal, its kit behind a
-guard."""
+"""The GPS driver: its parser, the driver with the simulated receiver, and its conformance kit."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lfield_gps import PLUGIN
 from lfield_gps.fake import FAULTS, LATITUDE, LONGITUDE, SIM, Receiver, sentences
-from lfield_gps.nmea import Nonsense, parse, sentence
+from lfield_gps.nmea import InvalidSentence, parse, sentence
 
 from lfield.clock import SystemClock
 from lfield.devices.conformance_run import conformance_checks, run_conformance
@@ -30,7 +29,7 @@ from lfield_sim.faults import Faults
 HOME = Path(__file__).parents[1]
 
 
-def test_sentences_of_the_nmea_reference():
+def test_reference_sentences_are_parsed():
     gga = parse(b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r")
     assert gga["position"] == pytest.approx([48.1173, 11.516667, 545.4], abs=1e-6)
     assert (gga["fix"], gga["satellites"]) == ("gps", 8)
@@ -66,13 +65,13 @@ def test_south_and_west_are_negative_and_unknown_values_are_omitted():
     ],
 )
 def test_invalid_sentence_is_refused(line):
-    with pytest.raises(Nonsense):
+    with pytest.raises(InvalidSentence):
         parse(line)
 
 
 @given(st.binary(max_size=90) | st.text(max_size=60).map(lambda text: b"$GPGGA," + text.encode() + b"*00"))
 def test_any_line_is_parsed_or_refused(line):
-    with suppress(Nonsense):
+    with suppress(InvalidSentence):
         assert isinstance(parse(line), dict)
 
 
@@ -86,86 +85,86 @@ def test_simulated_receiver_sends_valid_sentences(seconds):
     assert math.dist(values["position"][:2], (LATITUDE, LONGITUDE)) < 0.001
 
 
-class Rig:
-    """A bench with the simulated device on a pseudo-terminal; real time, at ten times a second."""
+class Setup:
+    """A driver bench with a simulated receiver on a pseudo-terminal, in real time, at 10 Hz."""
 
     def __init__(self, folder: Path, connect: float = 60.0) -> None:
         self.faults, self._path = Faults(FAULTS, ["1"]), folder / "gps"
         binding = bind(PLUGIN, endpoint=f"serial:{folder / 'gps'}:9600", options={"connect": connect})
-        self.bench = DriverBench(PLUGIN, binding, fakes=[self.live])
+        self.bench = DriverBench(PLUGIN, binding, fakes=[self.run_receiver])
 
-    async def live(self) -> None:
-        fake = Receiver(self._path, self.faults, 10.0)
+    async def run_receiver(self) -> None:
+        receiver = Receiver(self._path, self.faults, 10.0)
         try:
-            await fake.run()
+            await receiver.run()
         finally:
-            fake.be_plugged(False)
+            receiver.set_plugged(False)
 
 
 @pytest.fixture
-def rig(tmp_path):
-    return Rig(tmp_path)
+def setup(tmp_path):
+    return Setup(tmp_path)
 
 
-def test_receiver_reports_its_position(rig):
-    async def story(gps):
+def test_receiver_reports_its_position(setup):
+    async def scenario(gps):
         assert await gps.execute("waitFix", [5.0]) is True
-        await rig.bench.until(lambda: "course" in rig.bench.values)
-        assert rig.bench.values["position"][:2] == pytest.approx([LATITUDE, LONGITUDE], abs=0.001)
-        assert rig.bench.values["speed"] == pytest.approx(2.0, abs=0.01)
+        await setup.bench.until(lambda: "course" in setup.bench.values)
+        assert setup.bench.values["position"][:2] == pytest.approx([LATITUDE, LONGITUDE], abs=0.001)
+        assert setup.bench.values["speed"] == pytest.approx(2.0, abs=0.01)
         assert gps.moving() == ""
 
-    rig.bench.run_real(story)
+    setup.bench.run_real(scenario)
 
 
-def test_damaged_sentences_are_counted_and_not_used(rig):
-    rig.faults.apply(["noise=0.01", "half=0.2"])
+def test_damaged_sentences_are_counted_and_dropped(setup):
+    setup.faults.apply(["noise=0.01", "half=0.2"])
 
-    async def story(gps):
-        await rig.bench.until(lambda: rig.bench.values.get("malformed", 0) > 5)
-        assert rig.bench.values["position"][:2] == pytest.approx([LATITUDE, LONGITUDE], abs=0.001)
+    async def scenario(gps):
+        await setup.bench.until(lambda: setup.bench.values.get("malformed", 0) > 5)
+        assert setup.bench.values["position"][:2] == pytest.approx([LATITUDE, LONGITUDE], abs=0.001)
 
-    rig.bench.run_real(story)
+    setup.bench.run_real(scenario)
 
 
-def test_receiver_without_satellites_reports_no_position(rig):
-    rig.faults.apply(["no_fix=true"])
+def test_receiver_without_satellites_reports_no_position(setup):
+    setup.faults.apply(["no_fix=true"])
 
-    async def story(gps):
-        await rig.bench.until(lambda: rig.bench.values.get("fix") == "none")
+    async def scenario(gps):
+        await setup.bench.until(lambda: setup.bench.values.get("fix") == "none")
         assert await gps.execute("waitFix", [0.2]) is False
-        assert "position" not in rig.bench.values
+        assert "position" not in setup.bench.values
 
-    rig.bench.run_real(story)
-
-
-def test_unplugged_receiver_returns(rig):
-    async def story(gps):
-        rig.faults.apply(["unplug=true"])
-        await rig.bench.until(lambda: any("is gone" in note for note in rig.bench.notes))
-        rig.faults.apply(["unplug=false"])
-        await rig.bench.until(lambda: any("link opened" in note for note in rig.bench.notes))
-        before = rig.bench.values["position"]
-        await rig.bench.until(lambda: rig.bench.values["position"] != before)
-
-    rig.bench.run_real(story)
+    setup.bench.run_real(scenario)
 
 
-def test_silent_port_is_an_error_within_its_time(tmp_path):
-    rig = Rig(tmp_path, connect=1.0)
-    rig.faults.apply(["silent=true"])
+def test_driver_reconnects_after_the_adapter_was_unplugged(setup):
+    async def scenario(gps):
+        setup.faults.apply(["unplug=true"])
+        await setup.bench.until(lambda: any("is gone" in note for note in setup.bench.notes))
+        setup.faults.apply(["unplug=false"])
+        await setup.bench.until(lambda: any("link opened" in note for note in setup.bench.notes))
+        before = setup.bench.values["position"]
+        await setup.bench.until(lambda: setup.bench.values["position"] != before)
 
-    async def story(gps):
+    setup.bench.run_real(scenario)
+
+
+def test_open_fails_if_the_port_is_silent(tmp_path):
+    setup = Setup(tmp_path, connect=1.0)
+    setup.faults.apply(["silent=true"])
+
+    async def scenario(gps):
         with pytest.raises(
             DeviceError, match="received nothing within 1 s; check the wires and the baud rate"
         ):
             await gps.open()
 
-    rig.bench.run_real(story, opened=False)
+    setup.bench.run_real(scenario, opened=False)
 
 
 @pytest.mark.process
-def test_conformance_checks_of_the_fake_as_a_process(monkeypatch):
+def test_simulated_receiver_process_passes_conformance_checks(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HOME), os.environ.get("PYTHONPATH", "")]))
     plugins = Plugins()
     plugins.add("lfield_gps:PLUGIN")
@@ -175,9 +174,11 @@ def test_conformance_checks_of_the_fake_as_a_process(monkeypatch):
         assert ready == "ready"
         checks, clock = conformance_checks(plugins.by_driver["gps"])[:3], SystemClock()
         gps = bind(PLUGIN, endpoint=endpoint)
-        found = asyncio.run(run_conformance(plugins, [gps], checks, False, print, clock=clock, silence=10.0))
+        results = asyncio.run(
+            run_conformance(plugins, [gps], checks, False, print, clock=clock, silence=10.0)
+        )
         fake.stdin.close()
-    assert [f.check for f in found if f.outcome == "passed"] == ["endpoint", "identity", "telemetry"]
+    assert [f.check for f in results if f.outcome == "passed"] == ["endpoint", "identity", "telemetry"]
 
 
 def test_gps_passes_the_kit_without_motion():
@@ -185,12 +186,12 @@ def test_gps_passes_the_kit_without_motion():
     plugins.add("lfield_gps:PLUGIN")
     desk = Desk(plugins=plugins)
     fake = desk.fake(SIM)
-    found = desk.try_kit(bind(PLUGIN, endpoint=fake.endpoint), may_move=False)
-    assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []
-    assert {f.check for f in found if f.outcome == "not run"} == {
+    results = desk.try_kit(bind(PLUGIN, endpoint=fake.endpoint), may_move=False)
+    assert [f"{f.check}: {f.seen}" for f in results if f.outcome == "failed"] == []
+    assert {f.check for f in results if f.outcome == "not run"} == {
         "the safe state is latched until release", "it comes to rest in its safe state",
     }  # fmt: skip
-    assert len(found) == 13
+    assert len(results) == 13
 
 
 def test_gps_stock_resource_compiles():

@@ -1,4 +1,4 @@
-"""The driver 'arena': Omni, a small robot on a plane with objects, and Whistle, its referee (README.md)."""
+"""The driver 'arena' for robots on a plane (Omni) and their referee (Whistle). See README.md."""
 
 from lfield.driver import Plugin
 

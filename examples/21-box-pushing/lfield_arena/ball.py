@@ -1,7 +1,7 @@
-"""A ball on a pitch with walls and two goals: it rolls, bounces and is kicked. Pure.
+"""The physics of a ball on a pitch with walls and two goals: rolling, bouncing, kicks. Pure.
 
-The pitch is an indoor pitch with walls. The goals are gaps in the middle of the north and south walls. Metres
-north and east of the middle, m/s, seconds.
+The goals are gaps in the middle of the north and south walls. Positions are metres north and east of the
+centre, speeds m/s, times seconds.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from lfield_arena.box import Vector
 
 #: Length and width of the pitch, and width of a goal.
 LENGTH, WIDTH, GOAL = 4.0, 3.0, 1.0
-#: Radius of the ball; maximum distance for a kick, between the rims; maximum speed of a kick.
-BALL_RADIUS, REACH, HARDEST = 0.06, 0.05, 2.0
+#: Radius of the ball; maximum distance of the rims for a kick; maximum speed of a kick.
+BALL_RADIUS, REACH, MAX_KICK_SPEED = 0.06, 0.05, 2.0
 #: Relative loss of speed per second by rolling; restitution of walls and robots.
 ROLLING_FRICTION, WALL, BUMPER = 0.4, 0.6, 0.3
-#: Seconds in a goal; if it moves less than so many metres in so many seconds, it is put into the middle.
-PAUSE, PROGRESS, PATIENCE = 3.0, 0.2, 4.0
+#: Seconds that a ball stays in a goal. A ball that moves less than STUCK_DISTANCE in STUCK_TIME is stuck, and
+#: is put into the centre.
+PAUSE, STUCK_DISTANCE, STUCK_TIME = 3.0, 0.2, 4.0
 
 
 @dataclass(slots=True)
 class Ball:
-    """A ball, and its numbers of goals in the north and in the south."""
+    """A ball, and the numbers of goals in the north and in the south."""
 
     place: Vector = (0.0, 0.0)
     speed: Vector = (0.0, 0.0)
@@ -31,7 +32,7 @@ class Ball:
     goals: list[int] = field(default_factory=lambda: [0, 0])
     #: Remaining seconds in a goal; 0 in play.
     rests: float = 0.0
-    #: A position near which it has stayed, and for how long.
+    #: The position of the last progress, and the seconds since then.
     mark: Vector = (0.0, 0.0)
     stuck: float = 0.0
 
@@ -40,11 +41,11 @@ class Ball:
         if self.rests > 0.0:
             self._rest(seconds)
             return
-        fast = math.hypot(*self.speed)
-        left = max(0.0, 1.0 - ROLLING_FRICTION * seconds / fast) if fast > 0.0 else 0.0
-        self.speed = self.speed[0] * left, self.speed[1] * left
+        speed = math.hypot(*self.speed)
+        factor = max(0.0, 1.0 - ROLLING_FRICTION * seconds / speed) if speed > 0.0 else 0.0
+        self.speed = self.speed[0] * factor, self.speed[1] * factor
         self.place = self.place[0] + self.speed[0] * seconds, self.place[1] + self.speed[1] * seconds
-        self.hold()
+        self.keep_on_pitch()
         if abs(self.place[0]) > LENGTH / 2.0 + self.radius:
             self.goals[self.place[0] < 0.0] += 1
             self.speed, self.rests = (0.0, 0.0), PAUSE
@@ -57,13 +58,13 @@ class Ball:
 
     def _progress(self, seconds: float) -> None:
         self.stuck += seconds
-        if math.dist(self.place, self.mark) > PROGRESS:
+        if math.dist(self.place, self.mark) > STUCK_DISTANCE:
             self.mark, self.stuck = self.place, 0.0
-        if self.stuck > PATIENCE:
+        if self.stuck > STUCK_TIME:
             self.place, self.speed, self.stuck = (0.0, 0.0), (0.0, 0.0), 0.0
 
-    def hold(self) -> None:
-        """Puts it back inside the walls, bouncing; between the posts there is no wall."""
+    def keep_on_pitch(self) -> None:
+        """Keeps the ball inside the walls, where it bounces; between the posts there is no wall."""
         beyond = abs(self.place[0]) - (LENGTH / 2.0 - self.radius)
         sideways = abs(self.place[1]) - (GOAL / 2.0 - self.radius)
         if beyond > 0.0 and sideways > 0.0:
@@ -81,24 +82,22 @@ class Ball:
         self.place, self.speed = (place[0], place[1]), (speed[0], speed[1])
 
     def touch(self, place: Vector, radius: float) -> tuple[float, Vector]:
-        """Distance to a disc in metres, and the direction from the disc to it."""
+        """Distance to a disc in metres, and the direction from the disc to the ball."""
         north, east = self.place[0] - place[0], self.place[1] - place[1]
         away = math.hypot(north, east)
         return away - radius - self.radius, (north / away, east / away) if away > 0.0 else (1.0, 0.0)
 
-    def struck(self, normal: Vector, speed: Vector) -> None:
-        """A collision with an object that moves with that speed."""
-        closing = sum(
-            (theirs - own) * along for theirs, own, along in zip(speed, self.speed, normal, strict=True)
-        )
-        gained = max(0.0, closing) * (1.0 + BUMPER)
-        self.speed = self.speed[0] + normal[0] * gained, self.speed[1] + normal[1] * gained
+    def collide(self, normal: Vector, speed: Vector) -> None:
+        """Changes the speed in a collision with a moving object."""
+        closing = (speed[0] - self.speed[0]) * normal[0] + (speed[1] - self.speed[1]) * normal[1]
+        gain = max(0.0, closing) * (1.0 + BUMPER)
+        self.speed = self.speed[0] + normal[0] * gain, self.speed[1] + normal[1] * gain
 
-    def kicked(self, place: Vector, radius: float, speed: float) -> bool:
-        """A kick by a disc, straight away from it. False when it is too far away."""
+    def kick(self, place: Vector, radius: float, speed: float) -> bool:
+        """Kicks the ball straight away from a disc. False if the ball is too far away."""
         gap, normal = self.touch(place, radius)
         if gap > REACH or self.rests > 0.0:
             return False
-        speed = min(HARDEST, max(0.0, speed))
+        speed = min(MAX_KICK_SPEED, max(0.0, speed))
         self.speed = normal[0] * speed, normal[1] * speed
         return True

@@ -1,12 +1,12 @@
-"""A box on the floor: mass, friction, and pushing by robots. Pure.
+"""The physics of a box on the floor: mass, friction, and pushing robots. Pure.
 
-The friction is a *limit surface* (Goyal, Ruina and Papadopoulos, 1991): all forces and torques that the floor
-can hold. Here it is a ball over force and torque divided by the radius of gyration. A box at rest stays while
-the push is inside; when it slides, the maximum acts against the motion. So unequal pushes turn it, as in
-reality.
+The friction is a *limit surface* (Goyal, Ruina and Papadopoulos, 1991): the set of forces and torques that
+friction can balance. Here the surface is a sphere over force, and torque divided by the radius of gyration. A
+box at rest does not move while the push is inside the surface. On a sliding box, the maximum friction acts
+against the motion. So unequal pushes turn the box.
 
-Positions are north and east in metres, headings in radians from north to east. A box moves `ahead`, along its
-heading, and `aside`, to the right.
+Positions are north and east in metres, headings in radians from north to east. In the box's frame, `ahead` is
+along the heading, and `aside` is to the right.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 Vector = tuple[float, float]
 
-#: The sides of the box in metres, along and across; mass in kg; friction in newtons.
+#: Sides of the box in metres, along and across the heading; mass in kg; friction in newtons.
 LENGTH, WIDTH, MASS, FRICTION = 0.4, 1.2, 10.0, 12.0
-#: Its radius of gyration in metres, as of a plate.
+#: Radius of gyration in metres, that of a plate.
 GYRATION = math.hypot(LENGTH, WIDTH) / math.sqrt(12.0)
 
 
@@ -26,8 +26,8 @@ GYRATION = math.hypot(LENGTH, WIDTH) / math.sqrt(12.0)
 class Contact:
     """The point of the box that is nearest to a disc.
 
-    `gap` is in metres, below 0 where they overlap; `normal` points from the disc into the box; `lever` is the
-    arm in metres of a push along it.
+    `gap` is in metres, negative for an overlap. `normal` points from the disc into the box. `lever` is the
+    lever arm in metres of a push along the normal.
     """
 
     gap: float
@@ -37,7 +37,7 @@ class Contact:
 
 @dataclass(slots=True)
 class Box:
-    """A box: its pose, and its motion in m/s and rad/s."""
+    """A box: pose, speed in m/s, and spin in rad/s."""
 
     north: float
     east: float
@@ -47,11 +47,11 @@ class Box:
 
     @property
     def energy(self) -> float:
-        """Its kinetic energy in joules."""
+        """The kinetic energy in joules."""
         return 0.5 * MASS * (math.hypot(*self.speed) ** 2 + (GYRATION * self.spin) ** 2)
 
     def touch(self, place: Vector, radius: float) -> Contact:
-        """The contact with a disc of that radius."""
+        """The contact with a disc."""
         cos, sin = math.cos(self.heading), math.sin(self.heading)
         north, east = place[0] - self.north, place[1] - self.east
         ahead, aside = north * cos + east * sin, east * cos - north * sin
@@ -60,7 +60,7 @@ class Box:
         if away > 0.0:
             inward = (near[0] - ahead) / away, (near[1] - aside) / away
         else:
-            # The centre of the disc is inside: out by the nearest side.
+            # The centre of the disc is inside the box: the normal is that of the nearest side.
             depth = LENGTH / 2.0 - abs(ahead), WIDTH / 2.0 - abs(aside)
             away = -min(depth)
             out = depth[0] < depth[1]
@@ -78,17 +78,17 @@ class Box:
     def step(
         self, pushes: list[tuple[Contact, float]], seconds: float, *, downhill: float = 0.0, mud: float = 1.0
     ) -> None:
-        """Advances time with pushes in newtons: Newton's second law, then friction, which only slows.
+        """Advances time with pushes in newtons, by Newton's second law and friction.
 
         `downhill` is the force of a slope towards the east, in newtons; `mud` multiplies the friction.
         """
-        kick = seconds / MASS
-        north = self.speed[0] + kick * sum(contact.normal[0] * force for contact, force in pushes)
-        east = self.speed[1] + kick * (downhill + sum(c.normal[1] * force for c, force in pushes))
-        spin = self.spin + kick / GYRATION**2 * sum(contact.lever * force for contact, force in pushes)
+        impulse = seconds / MASS
+        north = self.speed[0] + impulse * sum(contact.normal[0] * force for contact, force in pushes)
+        east = self.speed[1] + impulse * (downhill + sum(c.normal[1] * force for c, force in pushes))
+        spin = self.spin + impulse / GYRATION**2 * sum(contact.lever * force for contact, force in pushes)
         motion = math.hypot(north, east, GYRATION * spin)
-        left = max(0.0, 1.0 - kick * FRICTION * mud / motion) if motion > 0.0 else 0.0
-        self.speed, self.spin = (north * left, east * left), spin * left
+        factor = max(0.0, 1.0 - impulse * FRICTION * mud / motion) if motion > 0.0 else 0.0
+        self.speed, self.spin = (north * factor, east * factor), spin * factor
         self.north += self.speed[0] * seconds
         self.east += self.speed[1] * seconds
         self.heading = math.remainder(self.heading + self.spin * seconds, math.tau)

@@ -1,4 +1,4 @@
-"""One robot on the plane: its instructions and telemetry. Its requests are those of `robot.py`."""
+"""A robot as a device: instructions and telemetry. `robot.py` defines the requests."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 
 from lfield.driver import Device, DeviceError
 
-#: Seconds between two polls, and for its wheels to stop.
-POLL, STAND = 0.05, 0.5
-#: The fields of every state.
-STATE = (*("north", "east", "moving", "broken", "watchdog", "targets", "now", "north_goals", "south_goals"),)
-#: What it sees of each object.
-PARTS = ("north", "east", "heading")
+#: Seconds: interval of polls; time-out of a stop.
+POLL_INTERVAL, STOP_TIMEOUT = 0.05, 0.5
+#: The fields of each state.
+STATE = "north", "east", "moving", "broken", "watchdog", "targets", "now", "north_goals", "south_goals"
+#: The fields of each observed object.
+TARGET_FIELDS = ("north", "east", "heading")
 
 
 class OmniDevice(Device):
-    """A robot; `ask` sends a request and returns its answer."""
+    """A robot. The last argument, `ask`, sends a request and returns the answer."""
 
     def __init__(self, *given: Any) -> None:
         *own, ask = given
@@ -27,7 +27,7 @@ class OmniDevice(Device):
         self._lost = self._moves = False
 
     async def poll(self) -> None:
-        """Reads its state; logs loss and recovery."""
+        """Reads the state of the robot; logs the loss and the recovery of the link."""
         try:
             await self._state()
         except DeviceError as error:
@@ -48,7 +48,7 @@ class OmniDevice(Device):
             except DeviceError:
                 if self.clock.monotonic() >= end:
                     raise
-                await asyncio.sleep(POLL)
+                await asyncio.sleep(POLL_INTERVAL)
 
     async def _set_watchdog(self, longest: float) -> float | None:
         await self._command(f"watchdog {longest:.3f}")
@@ -56,11 +56,11 @@ class OmniDevice(Device):
 
     async def _make_safe(self, state: str) -> None:
         await self._command("stop")
-        end = self.clock.monotonic() + STAND
+        end = self.clock.monotonic() + STOP_TIMEOUT
         while (await self._state())["moving"]:
             if self.clock.monotonic() > end:
                 raise self.error("it was commanded to stop but still moves")
-            await asyncio.sleep(POLL)
+            await asyncio.sleep(POLL_INTERVAL)
 
     def _moving(self) -> str:
         if self._lost:
@@ -68,7 +68,7 @@ class OmniDevice(Device):
         return "still moving" if self._moves else ""
 
     async def do_drive_to(self, north: float, east: float, seconds: float) -> bool:
-        """Done when it is at rest: at its goal, or where it is when the time is over."""
+        """Moves to a goal. True at the goal; False if the robot was stopped because the time is over."""
         self._check(north, east, seconds)
         if math.hypot(north, east) > self.binding.limits.get("radius", math.inf):
             raise self.error(
@@ -80,24 +80,24 @@ class OmniDevice(Device):
             if self.clock.monotonic() >= end:
                 await self._make_safe("stop")
                 return False
-            await asyncio.sleep(POLL)
+            await asyncio.sleep(POLL_INTERVAL)
         if state["broken"]:
             raise self.error("its motors are off: a fault")
         return True
 
     async def do_stop(self) -> None:
-        """Done when it is at rest; also the cancel of driveTo."""
+        """Stops the robot and waits until it is at rest. Also cancels driveTo."""
         await self._make_safe("stop")
 
     async def do_set_velocity(self, north: float, east: float) -> None:
-        """Sent once; the guard ends it."""
+        """Sends a velocity once. The guard stops the robot if the program does not renew the velocity."""
         self._check(north, east)
         if math.hypot(north, east) > self._limit:
             raise self.error(f"{math.hypot(north, east):g} m/s is above its limit of {self._limit:g}")
         await self._command(f"drive {north} {east}")
 
     async def do_kick(self, speed: float) -> bool:
-        """Kicks the ball, if it is near enough."""
+        """Kicks the ball. False if the ball is too far away."""
         self._check(speed)
         answer = await self._ask(f"kick {speed}")
         if answer not in ("ok", "no ball"):
@@ -118,13 +118,13 @@ class OmniDevice(Device):
             raise self.error(answer if answer.isprintable() else repr(answer))
 
     async def _state(self) -> dict[str, float]:
-        """Its state as a table; publishes it."""
+        """Reads and publishes the state of the robot."""
         fields = (await self._ask("?")).split()
         try:
             state = {name: float(value) for name, value in zip(fields[::2], fields[1::2], strict=True)}
             if not all(map(math.isfinite, state.values())) or not state.keys() >= set(STATE):
                 raise ValueError
-            names = (f"target{n}_{part}" for n in range(int(state["targets"])) for part in PARTS)
+            names = (f"target{n}_{part}" for n in range(int(state["targets"])) for part in TARGET_FIELDS)
             target = [state[name] for name in names]
         except (ValueError, KeyError):
             raise self.error(f"its state is invalid: {' '.join(fields)[:80]!r}") from None

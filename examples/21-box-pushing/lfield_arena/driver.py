@@ -1,4 +1,4 @@
-"""One robot behind one connection, `tcp:HOST:PORT`. Requests and answers are lines."""
+"""The driver of one robot, over a TCP connection `tcp:HOST:PORT`. Requests and answers are lines."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
-from lfield_arena.device import POLL, OmniDevice
+from lfield_arena.device import POLL_INTERVAL, OmniDevice
 from lfield_arena.whistle import WhistleDevice
 
-#: Opens a link: by asyncio, or in a test to a simulated device in memory.
+#: Opens a connection; a test replaces it by a connection in memory.
 Connect = Callable[..., Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
-#: Seconds for an answer; bytes of the longest line.
-ANSWER, LONGEST = 0.5, 4096
+#: Seconds: time-out of an answer. Bytes: maximum length of a line.
+ANSWER_TIMEOUT, LONGEST = 0.5, 4096
 
 
 class ArenaDriver(Driver):
-    """The link to a robot; after a failure the next request reconnects."""
+    """The connection to a robot. After a failure, the next request connects again."""
 
     def __init__(self, *given: Any, connect: Connect = asyncio.open_connection) -> None:
         self._connect, self._polling = connect, True
@@ -42,7 +42,7 @@ class ArenaDriver(Driver):
         self._disconnect()
 
     def _quiet(self) -> None:
-        # Every request feeds the robot's watchdog; none are sent while the host is silent.
+        # Each request resets the robot's watchdog, which must expire if the host is silent.
         self._polling = False
 
     def _resume(self) -> None:
@@ -50,15 +50,15 @@ class ArenaDriver(Driver):
 
     async def _poll(self, robot: OmniDevice | WhistleDevice) -> None:
         while True:
-            await asyncio.sleep(POLL)
+            await asyncio.sleep(POLL_INTERVAL)
             if self._polling:
                 await robot.poll()
 
     async def ask(self, line: str) -> str:
-        """One request and its answer. Raises DeviceError."""
+        """Sends a request and returns the answer. Raises DeviceError."""
         async with self._lock:
             try:
-                async with asyncio.timeout(ANSWER):
+                async with asyncio.timeout(ANSWER_TIMEOUT):
                     return await self._exchange(line)
             except (TimeoutError, OSError, ValueError) as error:
                 self._disconnect()
@@ -67,7 +67,7 @@ class ArenaDriver(Driver):
                 problem = f"{self.endpoint}: {reason}"
                 raise DeviceError(field, problem, kind="DeviceTimeoutException") from None
             except asyncio.CancelledError:
-                # The late answer would be taken for that to the next request.
+                # Otherwise the next request would receive the late answer to this one.
                 self._disconnect()
                 raise
 

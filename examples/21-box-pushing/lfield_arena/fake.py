@@ -1,4 +1,4 @@
-"""A simulated robot on the plane: its radio, at its own port. All such simulated devices share the plane."""
+"""A simulated robot: a server for its driver. All simulated robots share one plane."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from contextlib import suppress
 from lfield.driver import DeviceBinding
 from lfield.errors import AddressError, UsageError
 from lfield_arena.field import LAYOUTS
-from lfield_arena.plane import CHECK_INTERVAL, HOST, LONGEST, PORTS, Plane, Way, way_to
+from lfield_arena.plane import CHECK_INTERVAL, HOST, LONGEST, PORTS, Plane, PlaneAccess, open_plane
 from lfield_arena.referee import REFEREE
 from lfield_arena.world import World
 from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Fault, Faults, add_fault_option
 
-#: Seconds for a driver to disconnect.
-PATIENCE = 5.0
+#: Seconds to wait until the drivers have disconnected.
+DISCONNECT_TIMEOUT = 5.0
 
 FAULTS = (
     Fault("weak", 1.0, "the remaining share of its grip", 0.0, 1.0),
@@ -29,19 +29,19 @@ FAULTS = (
 class Radio:
     """Connects the driver of a robot to the plane, with fault injection."""
 
-    def __init__(self, way: Way, number: str, faults: Faults) -> None:
-        self._way, self._number, self._faults = way, number, faults
+    def __init__(self, plane: PlaneAccess, number: str, faults: Faults) -> None:
+        self._plane, self._number, self._faults = plane, number, faults
         self._tasks: set[asyncio.Task[None]] = set()
         self._drivers = 0
-        faults.watch(self._follow)
-        self._follow()
+        faults.watch(self._on_faults_changed)
+        self._on_faults_changed()
 
     async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serves a driver: one answer line per request line."""
+        """Serves a driver: one answer line for each request line."""
         self._drivers += 1
         try:
             while line := (await reader.readline()).decode("ascii", "replace").strip():
-                answer = await self._way.ask(f"{self._number} {line}")
+                answer = await self._plane.ask(f"{self._number} {line}")
                 if not self._faults.get("silent", self._number):
                     writer.write(f"{answer}\n".encode())
         except (OSError, ValueError):
@@ -50,25 +50,23 @@ class Radio:
             writer.close()
             self._drivers -= 1
 
-    async def left(self) -> None:
-        """Waits until no driver is connected, with a limit: the guard of a killed host still stops its
-        robot.
-        """
+    async def wait_for_disconnect(self) -> None:
+        """Waits until all drivers are disconnected: the guard of a killed host still stops its robot."""
         with suppress(TimeoutError):
-            async with asyncio.timeout(PATIENCE):
+            async with asyncio.timeout(DISCONNECT_TIMEOUT):
                 while self._drivers:
                     await asyncio.sleep(CHECK_INTERVAL)
 
-    def _follow(self) -> None:
+    def _on_faults_changed(self) -> None:
         task = asyncio.get_running_loop().create_task(self._send_faults())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     async def _send_faults(self) -> None:
         weak, broken = self._faults.get("weak", self._number), self._faults.get("broken", self._number)
-        # Without the plane the link to the driver is closed.
+        # If the plane is lost, `talk` closes the connection of the driver.
         with suppress(OSError):
-            await self._way.ask(f"{self._number} wrong {weak} {int(broken)}")
+            await self._plane.ask(f"{self._number} wrong {weak} {int(broken)}")
 
 
 class ArenaSim:
@@ -78,7 +76,7 @@ class ArenaSim:
     help = "A small robot on a plane with a box, a prey or a ball, shared by all of them on this computer."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Adds robot, plane, endpoint and faults."""
+        """Adds the robot, the plane, the endpoint and the faults."""
         parser.add_argument("--plane", default="box", choices=sorted(LAYOUTS), help="what is on it (box)")
         parser.add_argument(
             "--robot", type=int, default=1, metavar="NUMBER", help="its number (1); 0: the referee"
@@ -92,7 +90,7 @@ class ArenaSim:
         add_fault_option(parser)
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """The robot of a binding, on a free port."""
+        """The command line of the simulated robot of a binding, on a free port."""
         device = devices[0]
         robot = REFEREE if device.type == "Whistle" else device.option("robot")
         plane = device.option("plane")
@@ -105,7 +103,7 @@ class ArenaSim:
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """As `run`, on the running loop. Raises UsageError and AddressError."""
+        """Serves in the running event loop. Raises UsageError and AddressError."""
         kind, _, place = args.listen.partition(":")
         host, _, port = place.rpartition(":")
         if kind != "tcp" or not port.isdecimal():
@@ -114,21 +112,21 @@ class ArenaSim:
             world = World.parse(args.world)
         except ValueError as error:
             raise UsageError(f"--world {args.world!r}: {error}") from None
-        number, there = str(args.robot), LAYOUTS[args.plane].of_world(world).robots
-        if args.robot not in there and (args.robot, LAYOUTS[args.plane].ball) != (REFEREE, True):
-            known = ", ".join(map(str, there))
+        number, robots = str(args.robot), LAYOUTS[args.plane].of_world(world).robots
+        if args.robot not in robots and (args.robot, LAYOUTS[args.plane].ball) != (REFEREE, True):
+            known = ", ".join(map(str, robots))
             raise UsageError(f"there is no robot {number} on the plane '{args.plane}'; there are: {known}")
         faults = Faults(FAULTS, {number: args.called})
         faults.apply(args.fault)
         try:
-            way = await way_to(args.plane, world)
-            radio = Radio(way, number, faults)
+            plane = await open_plane(args.plane, world)
+            radio = Radio(plane, number, faults)
             server = await asyncio.start_server(radio.talk, host, int(port), limit=LONGEST)
         except OSError as error:
-            places = f"{place} or {HOST}:{world.port or PORTS[args.plane]}"
-            raise AddressError(places, error.strerror or str(error)) from None
+            addresses = f"{place} or {HOST}:{world.port or PORTS[args.plane]}"
+            raise AddressError(addresses, error.strerror or str(error)) from None
         host, port = server.sockets[0].getsockname()[:2]
-        here = {number: way.robots[number].place, **way.places} if isinstance(way, Plane) else {}
+        places = {number: plane.robots[number].place, **plane.places} if isinstance(plane, Plane) else {}
         await serve_until_stopped(
             "arena",
             f"tcp:{host}:{port}",
@@ -136,10 +134,10 @@ class ArenaSim:
             faults,
             devices={number: args.called},
             until_stdin_closes=args.until_stdin_closes,
-            places=here,
+            places=places,
         )
-        await radio.left()
-        await way.leave()
+        await radio.wait_for_disconnect()
+        await plane.leave()
 
 
 SIM = ArenaSim()

@@ -1,4 +1,4 @@
-"""The plane with its objects: robots, which are discs, and a box, a prey or a ball. Pure."""
+"""The plane with its objects: robots, which are discs, and a box, prey or a ball. Pure."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from lfield_arena.ball import LENGTH, WIDTH, Ball
 from lfield_arena.box import MASS, Box, Vector
 from lfield_arena.world import PREY_RADIUS, World, along_axes, escape, is_enclosed
 
-#: Metres: radius of a robot, and distance at which it touches the box.
+#: Metres: radius of a robot; maximum gap of a contact.
 RADIUS, TOUCH = 0.15, 0.001
-#: Grip of a robot's wheels in newtons, and force per speed deficit in N per m/s.
+#: Grip of a robot's wheels in N; push for each m/s of speed difference in N per m/s.
 GRIP, STIFFNESS = 10.0, 100.0
-#: m/s2; metres north of the stripe of mud.
+#: m/s²; the stripe of mud, metres north.
 GRAVITY, MUD = 9.81, (1.0, 2.0)
-#: Seconds for which a prey is enclosed until it is taken away, where there are several.
+#: Seconds: if there are several prey, a prey that is enclosed for this time is removed.
 CAUGHT = 0.5
-#: Tolerated overlap in metres; maximum iterations per step.
-EXACT, SWEEPS = 1e-7, 400
-#: Iterations per step in which a prey avoids robots.
-SLIDES = 4
+#: Tolerated overlap in metres; maximum number of iterations for each step.
+MAX_OVERLAP, MAX_ITERATIONS = 1e-7, 400
+#: Iterations for each step in which a prey moves around robots.
+SLIDE_ITERATIONS = 4
 
 
 @dataclass(slots=True)
 class Body:
-    """A disc: position, velocity of its wheels in m/s, and share of its grip."""
+    """A disc: position, velocity of the wheels in m/s, and remaining share of the grip."""
 
     place: Vector
     velocity: Vector = (0.0, 0.0)
@@ -34,13 +34,13 @@ class Body:
     grip: float = 1.0
 
 
-#: Objects that yield to others.
+#: Discs, which overlaps move.
 Disc = Body | Ball
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The initial state of a field: robots by number, and other objects."""
+    """The initial positions on a field: robots by number, and other objects."""
 
     robots: Mapping[int, Vector]
     box: tuple[float, float, float] | None = None
@@ -48,7 +48,7 @@ class Layout:
     ball: bool = False
 
     def of_world(self, world: World) -> Layout:
-        """The same plane in a world: a hunt has as many predators and prey as it says."""
+        """The layout for a world, which sets the numbers of predators and prey of a hunt."""
         if not self.prey:
             return self
         return replace(self, robots=world.robots(), prey=tuple(world.prey_places()))
@@ -57,7 +57,7 @@ class Layout:
 LAYOUTS: Mapping[str, Layout] = {
     "box": Layout({1: (-0.6, -0.9), 2: (-1.0, 0.1), 3: (-0.6, 0.8)}, box=(0.0, 0.0, 0.0)),
     "hunt": Layout({1: (0.0, -1.2), 2: (0.0, -0.4), 3: (0.0, 0.4), 4: (0.0, 1.2)}, prey=((1.6, 0.2),)),
-    # One to three play to the north, four to six to the south.
+    # Robots 1 to 3 play to the north, robots 4 to 6 to the south.
     "pitch": Layout(
         {1: (-0.6, 0.0), 2: (-1.0, -0.8), 3: (-1.7, 0.0), 4: (0.6, 0.0), 5: (1.0, 0.8), 6: (1.7, 0.0)},
         ball=True,
@@ -67,7 +67,7 @@ LAYOUTS: Mapping[str, Layout] = {
 
 @dataclass(slots=True)
 class Prey(Body):
-    """A prey: for how long it has been enclosed, in seconds; one that is caught is taken away."""
+    """A prey, and the seconds since it was enclosed. A caught prey is removed from the plane."""
 
     number: int = 0
     enclosed: float = 0.0
@@ -76,21 +76,21 @@ class Prey(Body):
 
 @dataclass(slots=True)
 class Field:
-    """Robots by number. Collisions do not turn wheels: a robot stops, or is pushed away."""
+    """The robots by number, and the other objects. A robot in a collision stops, or is displaced."""
 
     robots: dict[int, Body]
     box: Box | None = None
     all_prey: list[Prey] = field(default_factory=list)
     ball: Ball | None = None
     world: World = field(default_factory=World)
-    #: The sides whose teams have reported to the referee.
+    #: The sides whose teams are ready for the kick-off.
     ready: set[str] = field(default_factory=set)
     #: Seconds since the start.
     now: float = field(default=0.0)
 
     @classmethod
     def of(cls, layout: Layout, world: World | None = None) -> Field:
-        """The initial field."""
+        """The initial field of a layout."""
         world = world or World()
         return cls(
             {number: Body(place) for number, place in layout.robots.items()},
@@ -101,18 +101,18 @@ class Field:
         )
 
     @property
-    def plays(self) -> bool:
-        """Whether a match has begun, where it needs a referee."""
+    def is_running(self) -> bool:
+        """Whether time advances: always without a referee, with a referee after the kick-off."""
         return not self.world.referee or len(self.ready) == 2
 
     @property
     def free_prey(self) -> list[Prey]:
-        """The prey that is not caught."""
+        """The prey that are not caught."""
         return [prey for prey in self.all_prey if not prey.caught]
 
     def step(self, seconds: float) -> None:
-        """Advances time; before a kick-off nothing moves."""
-        if not self.plays:
+        """Advances time; before a kick-off no object moves."""
+        if not self.is_running:
             return
         self.now += seconds
         hunters = [robot.place for robot in self.robots.values()]
@@ -125,7 +125,7 @@ class Field:
             robot.place = self.world.inside(_moved(robot.place, wheels, seconds), robot.radius)
         if self.ball is not None:
             self._move_ball(self.ball, seconds)
-        self._part()
+        self._resolve_overlaps()
         for prey in self.free_prey:
             self._run(prey, seconds)
             if len(self.all_prey) > 1:
@@ -133,7 +133,7 @@ class Field:
 
     @property
     def targets(self) -> list[tuple[float, float, float]]:
-        """The robots' objects: north, east and heading of the box, each free prey, or the ball."""
+        """North, east and heading of the observed objects: box, free prey, or ball."""
         if self.box is not None:
             return [(self.box.north, self.box.east, self.box.heading)]
         if self.ball is not None:
@@ -142,83 +142,82 @@ class Field:
 
     @property
     def _bodies(self) -> list[Disc]:
-        there: list[Disc] = [*self.robots.values()]
-        there += self.free_prey
+        bodies: list[Disc] = [*self.robots.values(), *self.free_prey]
         if self.ball is not None and not self.ball.rests:
-            there.append(self.ball)
-        return there
+            bodies.append(self.ball)
+        return bodies
 
     def _move_ball(self, ball: Ball, seconds: float) -> None:
         for robot in self.robots.values():
             gap, normal = ball.touch(robot.place, robot.radius)
             if gap < TOUCH and not ball.rests:
-                ball.struck(normal, robot.velocity)
+                ball.collide(normal, robot.velocity)
         ball.step(seconds)
 
     def _push(self, box: Box, seconds: float) -> None:
-        """Wheels push in proportion to their speed deficit, up to their grip; stationary ones hold."""
+        """Moves the box. A robot pushes in proportion to the difference of speeds, up to its grip."""
         pushes = []
         for robot in self.robots.values():
             contact = box.touch(robot.place, robot.radius)
             if contact.gap < TOUCH:
                 target = robot.velocity[0] * contact.normal[0] + robot.velocity[1] * contact.normal[1]
-                lacking = STIFFNESS * (target - box.speed_at(contact))
-                pushes.append((contact, min(GRIP * robot.grip, max(0.0, lacking))))
+                force = STIFFNESS * (target - box.speed_at(contact))
+                pushes.append((contact, min(GRIP * robot.grip, max(0.0, force))))
         mud = self.world.mud if MUD[0] < box.north < MUD[1] else 1.0
         box.step(pushes, seconds, downhill=MASS * GRAVITY * self.world.slope, mud=mud)
 
     def _catch(self, prey: Prey, seconds: float) -> None:
-        """Takes a prey away that has been enclosed for some time."""
+        """Removes a prey that has been enclosed for CAUGHT seconds."""
         robots = [(robot.place, robot.radius) for robot in self.robots.values()]
         prey.enclosed = prey.enclosed + seconds if is_enclosed(prey.place, robots) else 0.0
         prey.caught = prey.enclosed >= CAUGHT
 
     def _run(self, prey: Prey, seconds: float) -> None:
-        """Moves the prey: it pushes no robot, slides along obstacles, and stops if it cannot."""
+        """Moves a prey, which slides along robots, and stops if it would overlap a robot."""
         before = prey.place
         prey.place = self.world.inside(_moved(before, prey.velocity, seconds), prey.radius)
-        for _ in range(SLIDES):
+        for _ in range(SLIDE_ITERATIONS):
             for robot in self.robots.values():
                 away = math.dist(robot.place, prey.place)
                 overlap = robot.radius + prey.radius - away
                 if overlap > 0.0 and away > 0.0:
                     out = (prey.place[0] - robot.place[0]) / away, (prey.place[1] - robot.place[1]) / away
                     prey.place = _moved(prey.place, out, overlap)
-        least = [math.dist(robot.place, prey.place) for robot in self.robots.values()]
-        if min(least, default=math.inf) < RADIUS + PREY_RADIUS - EXACT:
+        distances = [math.dist(robot.place, prey.place) for robot in self.robots.values()]
+        if min(distances, default=math.inf) < RADIUS + PREY_RADIUS - MAX_OVERLAP:
             prey.place = before
 
-    def _part(self) -> None:
-        """Resolves overlaps: discs yield to each other by halves, and to the box."""
+    def _resolve_overlaps(self) -> None:
+        """Moves overlapping discs apart, each by one half, and out of the box."""
         bodies = self._bodies
-        for _ in range(SWEEPS):
-            worst = 0.0
+        for _ in range(MAX_ITERATIONS):
+            largest = 0.0
             for index, one in enumerate(bodies):
                 for other in bodies[index + 1 :]:
-                    worst = max(worst, _apart(one, other))
+                    largest = max(largest, _separate(one, other))
                 if self.box is not None:
                     contact = self.box.touch(one.place, one.radius)
                     one.place = _moved(one.place, contact.normal, min(0.0, contact.gap))
-                    worst = max(worst, -contact.gap)
+                    largest = max(largest, -contact.gap)
             if self.ball is not None:
-                self._wall_in(self.ball)
-            if worst < EXACT:
+                self._keep_on_pitch(self.ball)
+            if largest < MAX_OVERLAP:
                 return
 
-    def _wall_in(self, ball: Ball) -> None:
-        """Keeps robots on the pitch, also in front of the goals, and the ball."""
+    def _keep_on_pitch(self, ball: Ball) -> None:
+        """Keeps the ball and the robots on the pitch. Robots do not enter the goals."""
         for robot in self.robots.values():
             most = LENGTH / 2.0 - robot.radius, WIDTH / 2.0 - robot.radius
             robot.place = _within(robot.place[0], most[0]), _within(robot.place[1], most[1])
         if not ball.rests:
-            ball.hold()
+            ball.keep_on_pitch()
 
 
 def _within(value: float, most: float) -> float:
     return min(most, max(-most, value))
 
 
-def _apart(one: Disc, other: Disc) -> float:
+def _separate(one: Disc, other: Disc) -> float:
     """Moves two overlapping discs apart; returns the overlap in metres."""
     north, east = other.place[0] - one.place[0], other.place[1] - one.place[1]
     away = math.hypot(north, east)

@@ -8,24 +8,26 @@ from lfield.driver.kit import Bench, CheckFailed, Kit, cancelled, held, rested
 
 KIT = Kit()
 
-#: Metres of a short move, its tolerance; seconds for it.
-WAY, NEAR, PATIENCE = 0.2, 0.03, 10.0
+#: Metres: length of a short move, and its tolerance. Seconds: its time-out.
+LENGTH, TOLERANCE, MOVE_TIMEOUT = 0.2, 0.03, 10.0
 
 
 @KIT.check("moves and reports its position", moves=True)
-async def goes(bench: Bench) -> str:
-    """A short move, seen in the telemetry."""
+async def moves(bench: Bench) -> str:
+    """The telemetry shows a short move."""
     north, east, *_ = bench.query("position")
-    if not await bench.call("driveTo", north + WAY, east, PATIENCE):
-        raise CheckFailed(f"it was not {WAY:g} m to the north within {PATIENCE:g} s")
-    there = bench.query("position")
-    await bench.until(lambda: math.dist(bench.query("position"), (north + WAY, east)) < NEAR, 1.0, "it there")
-    return f"({north:.2f}, {east:.2f}) to ({there[0]:.2f}, {there[1]:.2f})"
+    if not await bench.call("driveTo", north + LENGTH, east, MOVE_TIMEOUT):
+        raise CheckFailed(f"it was not {LENGTH:g} m to the north within {MOVE_TIMEOUT:g} s")
+    place = bench.query("position")
+    await bench.until(
+        lambda: math.dist(bench.query("position"), (north + LENGTH, east)) < TOLERANCE, 1.0, "it there"
+    )
+    return f"({north:.2f}, {east:.2f}) to ({place[0]:.2f}, {place[1]:.2f})"
 
 
 @KIT.check("a move that takes too long is ended", moves=True)
-async def ended(bench: Bench) -> str:
-    """It is at rest when the time of a move is over."""
+async def times_out(bench: Bench) -> str:
+    """The robot is at rest when the time of a move is over."""
     north, east, *_ = bench.query("position")
     if await bench.call("driveTo", north, east + 3.0, 0.5):
         raise CheckFailed("it moved 3 m within 0.5 s")
@@ -35,18 +37,18 @@ async def ended(bench: Bench) -> str:
 
 @KIT.check("a cancelled move ends", moves=True)
 async def cancels(bench: Bench) -> str:
-    """It ends as the manifest defines for a cancel."""
+    """A cancelled move ends as the manifest defines, and the robot comes to rest."""
     north, east, *_ = bench.query("position")
     outcome = await cancelled(
-        bench, lambda: bool(bench.query("moving")), "driveTo", north, east + 3.0, PATIENCE
+        bench, lambda: bool(bench.query("moving")), "driveTo", north, east + 3.0, MOVE_TIMEOUT
     )
     await bench.until(lambda: not bench.query("moving"), 1.0, "it to come to rest")
     return outcome
 
 
 @KIT.check("a velocity that is not renewed ends", moves=True)
-async def ends(bench: Bench) -> str:
-    """After its time-to-live the robot is at rest in its safe state."""
+async def expires(bench: Bench) -> str:
+    """After the time-to-live of a velocity, the robot is at rest in its safe state."""
     await bench.call("setVelocity", 0.0, 0.1)
     await bench.until(lambda: bool(bench.latched), 5.0 + bench.binding.ttl, "the guard to end it")
     await rested(bench)

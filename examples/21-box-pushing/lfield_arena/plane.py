@@ -1,7 +1,7 @@
-"""The shared plane of all robots, and the access of their simulated devices to it.
+"""The plane, which all simulated robots of a computer share.
 
-The first fake on a computer has the plane and serves it at a port; the others connect to it. On a simulated
-computer they share it directly.
+The first simulated robot creates the plane and serves it at a port; the others connect to this port. In a
+test with virtual time, all simulated robots use one plane directly.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from lfield_arena.referee import REFEREE, Referee
 from lfield_arena.robot import Robot
 from lfield_arena.world import World
 
-#: Seconds of a step, and between two checks for clients; bytes of the longest line.
+#: Seconds: duration of a step; interval of checks for clients. Bytes: maximum length of a line.
 TICK, CHECK_INTERVAL, LONGEST = 0.01, 0.1, 4096
-#: The address of each plane, unless its world has a port.
+#: The address of each plane; a port in the world has precedence.
 HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200, "pitch": 7300}
 Place = tuple[float, float, float]
 
 
-class Way(Protocol):
-    """Access of a simulated device to the plane."""
+class PlaneAccess(Protocol):
+    """The access of a simulated robot to the plane."""
 
     async def ask(self, line: str) -> str:
         """Sends a request of a robot to the plane, `NUMBER REQUEST`; returns the answer. Raises OSError."""
 
     async def leave(self) -> None:
-        """Ends it; the plane itself remains until all others have left."""
+        """Ends the access. The process with the plane waits until all others have left."""
 
 
 class Plane:
@@ -46,14 +46,16 @@ class Plane:
         if self.field.ball is not None:
             self.robots[str(REFEREE)] = Referee(self.field)
         self._clients = 0
-        self._living = asyncio.get_running_loop().create_task(self._live())
+        self._task = asyncio.get_running_loop().create_task(self._run())
 
     @property
     def places(self) -> dict[str, Callable[[], Place]]:
         """Positions of objects other than robots: metres north, east and up, by name."""
         if self.field.all_prey:
             names = ("prey", *(f"prey {n}" for n in range(2, 1 + len(self.field.all_prey))))
-            return {name: partial(_at, prey) for name, prey in zip(names, self.field.all_prey, strict=True)}
+            return {
+                name: partial(_place_of, prey) for name, prey in zip(names, self.field.all_prey, strict=True)
+            }
         if self.field.box is None:
             return {"ball": lambda: (*self.field.targets[0][:2], 0.0)}
         ends = {"box": 0.0, "box, left end": -WIDTH / 2.0, "box, right end": WIDTH / 2.0}
@@ -64,21 +66,21 @@ class Plane:
         return north - aside * math.sin(heading), east + aside * math.cos(heading), 0.0
 
     async def serve(self, port: int) -> None:
-        """Accepts other simulated devices. Raises OSError if there is a plane already."""
+        """Accepts other simulated robots. Raises OSError if there is already a plane."""
         await asyncio.start_server(self._talk, HOST, port, limit=LONGEST)
 
     async def ask(self, line: str) -> str:
-        """See Way."""
+        """See PlaneAccess."""
         number, _, request = line.partition(" ")
         return self.robots[number].answer(request)
 
     async def leave(self) -> None:
-        """See Way."""
+        """See PlaneAccess."""
         while self._clients:
             await asyncio.sleep(CHECK_INTERVAL)
-        self._living.cancel()
+        self._task.cancel()
 
-    async def _live(self) -> None:
+    async def _run(self) -> None:
         while True:
             await asyncio.sleep(TICK)
             for robot in self.robots.values():
@@ -97,19 +99,19 @@ class Plane:
             self._clients -= 1
 
 
-def _at(prey: Prey) -> Place:
+def _place_of(prey: Prey) -> Place:
     return *prey.place, 0.0
 
 
-class Joined:
-    """The plane of another simulated device, over its port."""
+class RemotePlane:
+    """The plane of another process, over its port."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer
         self._lock = asyncio.Lock()
 
     async def ask(self, line: str) -> str:
-        """See Way."""
+        """See PlaneAccess."""
         async with self._lock:
             self._writer.write(f"{line}\n".encode())
             answer = (await self._reader.readline()).decode("ascii").strip()
@@ -118,14 +120,12 @@ class Joined:
         return answer
 
     async def leave(self) -> None:
-        """See Way."""
+        """See PlaneAccess."""
         self._writer.close()
 
 
-async def way_to(layout: str, world: World) -> Way:
-    """Access to the plane of that name: shared, remote, or new in that world. Raises OSError if the port is
-    taken.
-    """
+async def open_plane(layout: str, world: World) -> PlaneAccess:
+    """Access to the plane of a layout: shared, remote, or new. Raises OSError if the port is in use."""
     loop = asyncio.get_running_loop()
     if isinstance(loop, SimulatedLoop):
         return loop.shared(f"the plane '{layout}'", lambda: Plane(layout, world))
@@ -134,5 +134,5 @@ async def way_to(layout: str, world: World) -> Way:
         await plane.serve(port)
     except OSError:
         await plane.leave()
-        return Joined(*await asyncio.open_connection(HOST, port, limit=LONGEST))
+        return RemotePlane(*await asyncio.open_connection(HOST, port, limit=LONGEST))
     return plane

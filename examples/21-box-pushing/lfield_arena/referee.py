@@ -1,9 +1,9 @@
 """The referee of a plane with a ball: kick-off when both teams are ready, time and score. Pure.
 
-A request is a line, and so is its answer:
+Each request and each answer is one line:
 
-    ?              its state: names and numbers
-    ready SIDE     a team that plays to the north or south is ready; `ok` after the kick-off, else `wait`
+    ?              the state: names and numbers
+    ready SIDE     the team that plays to the north or south is ready; `ok` after the kick-off, else `wait`
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from __future__ import annotations
 from lfield_arena.field import Field
 
 SIDES = ("north", "south")
-#: Its number on the plane; robots have numbers from 1 on.
+#: The number of the referee on the plane; the numbers of robots start with 1.
 REFEREE = 0
 
 
 class Referee:
-    """The referee of one field. Until the kick-off no robot moves, and no time counts."""
+    """The referee of a field. Before the kick-off, no robot moves and the match time is 0."""
 
     def __init__(self, field: Field) -> None:
         self._field = field
 
     def place(self) -> tuple[float, float, float]:
-        """Where it stands: beside the pitch."""
+        """The position of the referee, beside the pitch."""
         return 0.0, -2.0, 0.0
 
     def step(self, seconds: float) -> None:
-        """It does not move."""
+        """Advances time. The referee does not move."""
 
     def answer(self, line: str) -> str:
         """The answer to a request."""
@@ -35,8 +35,8 @@ class Referee:
             return self._state()
         if command == "ready" and rest and rest[0] in SIDES:
             self._field.ready.add(rest[0])
-            return "ok" if self._field.plays else "wait"
-        # Faults of its fake.
+            return "ok" if self._field.is_running else "wait"
+        # `wrong` sets the faults of the simulated device.
         return "ok" if command == "wrong" else "what?"
 
     def _state(self) -> str:

@@ -1,14 +1,14 @@
 """The controller of a robot on the plane: line protocol, wheel control, watchdog. Pure.
 
-A request is a line, and so is its answer:
+Each request and each answer is one line:
 
-    ?                     where it is, what its wheels do, what it sees: names and numbers
-    go NORTH EAST SPEED   metres, m/s: goes there, and stands
-    drive NORTH EAST      m/s
-    kick SPEED            m/s: the ball, away from it; `no ball` when none is near enough
-    stop
-    watchdog SECONDS      without a request for longer it stops by itself; 0 is off
-    wrong GRIP BROKEN     a fault: the share of its grip that is left, 1 when its motors are off
+    ?                     the state of the robot and of observed objects: names and numbers
+    go NORTH EAST SPEED   moves to a position in m, with a speed in m/s, and stops there
+    drive NORTH EAST      moves with a velocity in m/s
+    kick SPEED            kicks the ball away from the robot, with a speed in m/s; `no ball` if none is near
+    stop                  stops the wheels
+    watchdog SECONDS      stops the robot after this time without a request; 0 disables the watchdog
+    wrong GRIP BROKEN     sets faults: the remaining share of the grip, and 1 if the motors are off
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ from lfield_arena.box import Vector
 from lfield_arena.field import Body, Field
 from lfield_arena.world import along_axes
 
-#: Maximum and minimum speed in m/s; seconds before its goal at which it slows down; tolerance of a goal in
-#: metres.
-FASTEST, SLOWEST, BRAKE, THERE = 0.5, 0.1, 0.3, 0.01
-#: So many numbers each request has, and which of its words there are.
+#: Maximum and minimum speed in m/s; braking time before a goal in s; tolerance of a goal in m.
+MAX_SPEED, MIN_SPEED, BRAKING_TIME, GOAL_TOLERANCE = 0.5, 0.1, 0.3, 0.01
+#: The number of arguments of each command.
 REQUESTS = {"go": 3, "drive": 2, "kick": 1, "stop": 0, "watchdog": 1, "wrong": 2}
 
 
 class Robot:
-    """One robot on a field."""
+    """The controller of one robot on a field."""
 
     def __init__(self, field: Field, number: int) -> None:
         self._field, self._number = field, number
@@ -38,11 +37,11 @@ class Robot:
 
     @property
     def body(self) -> Body:
-        """Its body on the plane."""
+        """The body of the robot on the plane."""
         return self._field.robots[self._number]
 
     def place(self) -> tuple[float, float, float]:
-        """Its position: metres north, east and up."""
+        """The position of the robot: metres north, east and up."""
         return *self.body.place, 0.0
 
     def step(self, seconds: float) -> None:
@@ -50,7 +49,7 @@ class Robot:
         self._since += seconds
         if self._broken or 0.0 < self.watchdog < self._since:
             self._stop()
-        if self._goal is not None and math.dist(self.body.place, self._goal[0]) < THERE:
+        if self._goal is not None and math.dist(self.body.place, self._goal[0]) < GOAL_TOLERANCE:
             self._stop()
         self.body.velocity = self._target_velocity()
 
@@ -58,17 +57,17 @@ class Robot:
         if self._goal is None:
             return self._velocity
         (north, east), speed = self._goal
-        here = self.body.place
-        away = math.dist(here, (north, east))
-        way = along_axes((north - here[0], east - here[1]), self._field.world.moves)
+        place = self.body.place
+        distance = math.dist(place, (north, east))
+        way = along_axes((north - place[0], east - place[1]), self._field.world.moves)
         if self._field.world.moves:
-            # Along the axis with the longer way, and no farther on it than to the goal.
-            away = max(abs(north - here[0]), abs(east - here[1]))
+            # Along the axis with the longer distance, at most as far as the goal.
+            distance = max(abs(north - place[0]), abs(east - place[1]))
             way = (
-                math.copysign(away, way[0]) if way[0] else 0.0,
-                math.copysign(away, way[1]) if way[1] else 0.0,
+                math.copysign(distance, way[0]) if way[0] else 0.0,
+                math.copysign(distance, way[1]) if way[1] else 0.0,
             )
-        pace = min(speed, max(SLOWEST, away / BRAKE)) / away
+        pace = min(speed, max(MIN_SPEED, distance / BRAKING_TIME)) / distance
         return way[0] * pace, way[1] * pace
 
     def _stop(self) -> None:
@@ -91,14 +90,14 @@ class Robot:
             return "its motors are off: a fault"
         if command == "kick":
             return self._kick(numbers[0])
-        self._obey(command, numbers)
+        self._execute(command, numbers)
         return "ok"
 
     def _kick(self, speed: float) -> str:
         ball, body = self._field.ball, self.body
-        return "ok" if ball is not None and ball.kicked(body.place, body.radius, speed) else "no ball"
+        return "ok" if ball is not None and ball.kick(body.place, body.radius, speed) else "no ball"
 
-    def _obey(self, command: str, numbers: list[float]) -> None:
+    def _execute(self, command: str, numbers: list[float]) -> None:
         if command == "wrong":
             self.body.grip, self._broken = min(1.0, max(0.0, numbers[0])), bool(numbers[1])
             return
@@ -107,13 +106,13 @@ class Robot:
             return
         self._stop()
         if command == "go":
-            self._goal = (numbers[0], numbers[1]), min(FASTEST, max(0.0, numbers[2]))
+            self._goal = (numbers[0], numbers[1]), min(MAX_SPEED, max(0.0, numbers[2]))
         elif command == "drive":
-            much = max(1.0, math.hypot(*numbers) / FASTEST)
-            self._velocity = numbers[0] / much, numbers[1] / much
+            excess = max(1.0, math.hypot(*numbers) / MAX_SPEED)
+            self._velocity = numbers[0] / excess, numbers[1] / excess
 
     def _state(self) -> str:
-        """`north 0.5 east 1.0 moving 0 ...`, name and number alternately."""
+        """The state as a line: `north 0.5 east 1.0 moving 0 ...`."""
         place, targets = self.body.place, self._field.targets
         moving = self._goal is not None or self._velocity != (0.0, 0.0)
         goals = self._field.ball.goals if self._field.ball is not None else [0, 0]

@@ -1,4 +1,4 @@
-"""The referee as a device: its instruction and telemetry. Its requests are those of `referee.py`."""
+"""The referee as a device: instruction and telemetry. `referee.py` defines the requests."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from lfield.driver import Device, DeviceError
 from lfield_arena.referee import SIDES
 
-#: Seconds between two requests while it waits for the kick-off.
-EVERY = 0.05
+#: Seconds between two requests while the device waits for the kick-off.
+INTERVAL = 0.05
 STATE = ("now", "north_goals", "south_goals")
 
 
 class WhistleDevice(Device):
-    """The referee; `ask` sends a request and returns its answer."""
+    """The referee. The last argument, `ask`, sends a request and returns the answer."""
 
     def __init__(self, *given: Any) -> None:
         *own, ask = given
@@ -24,7 +24,7 @@ class WhistleDevice(Device):
         self._lost = False
 
     async def poll(self) -> None:
-        """Reads its state; logs loss and recovery."""
+        """Reads the state of the match; logs the loss of the link."""
         try:
             await self._state()
         except DeviceError as error:
@@ -43,19 +43,19 @@ class WhistleDevice(Device):
             except DeviceError:
                 if self.clock.monotonic() >= end:
                     raise
-                await asyncio.sleep(EVERY)
+                await asyncio.sleep(INTERVAL)
 
     async def do_ready(self, side: str) -> None:
-        """Returns at the kick-off."""
+        """Reports a team as ready; returns at the kick-off."""
         if side not in SIDES:
             raise self.error(f"a team plays to the {SIDES[0]} or the {SIDES[1]}, not to {side!r}")
         while (answer := await self._ask(f"ready {side}")) != "ok":
             if answer != "wait":
                 raise self.error(answer if answer.isprintable() else repr(answer))
-            await asyncio.sleep(EVERY)
+            await asyncio.sleep(INTERVAL)
 
     async def _state(self) -> None:
-        """Publishes its state."""
+        """Reads and publishes the state of the match."""
         fields = (await self._ask("?")).split()
         try:
             state = {name: float(value) for name, value in zip(fields[::2], fields[1::2], strict=True)}

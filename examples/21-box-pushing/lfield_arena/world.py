@@ -1,6 +1,6 @@
-"""How a plane differs from the standard one: size, numbers, moves, intelligence of prey, terrain. Pure.
+"""The world: size of a plane, numbers, legal moves, intelligence of the prey, terrain. Pure.
 
-A binding states it in one text for all robots of a plane: `world: "size=6 prey=2 mind=random"`.
+The bindings of all robots of a plane have the same text: `world: "size=6 prey=2 mind=random"`.
 """
 
 from __future__ import annotations
@@ -12,25 +12,25 @@ from typing import get_type_hints
 
 from lfield_arena.box import Vector
 
-#: The prey: its radius, range of sight and flight distance in metres, and its speed in m/s.
-PREY_RADIUS, VISUAL_RANGE, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
-#: Metres: a prey flees from walls that are nearer, also when no robot is near.
-WALL = 0.7
-#: Seconds after which a prey that moves at random turns.
-TURN = 1.0
+#: The prey: radius, visual range and flight distance in metres, speed in m/s.
+PREY_RADIUS, VISUAL_RANGE, FLIGHT_DISTANCE, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
+#: Metres: a prey flees from nearer walls, even if no robot is near.
+WALL_DISTANCE = 0.7
+#: Seconds between two turns of a prey that moves at random.
+TURN_INTERVAL = 1.0
 MINDS = ("still", "random", "away", "gap")
 
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """The properties of a plane; the default ones are those of the standard plane.
+    """The properties of a plane; the defaults are those of the standard plane.
 
     `size` is the side of a square with walls in metres, 0 for an open plane. `moves` and `prey_moves` are the
     numbers of directions in which robots and prey can move, 0 for any and 4 for north, east, south, west.
-    `mind` of a prey: it stands `still`, moves at `random`, flees `away` from the nearest robot, or to the
-    widest `gap` between robots. `slope` is the gradient of the floor, downwards to the east; `mud` the
-    friction of a box in the stripe from 1 m to 2 m north, in multiples of that elsewhere. With a `referee`
-    a match begins when both teams are ready. The plane is at `port` of this computer, 0: the usual one.
+    The `mind` of a prey: it stands `still`, moves at `random`, flees `away` from the nearest robot, or flees
+    to the widest `gap` between robots. `slope` is the gradient of the floor, downwards to the east. `mud`
+    multiplies the friction of a box in the stripe from 1 m to 2 m north. With a `referee`, a match starts
+    when both teams are ready. `port` is the port of the plane on this computer; 0: the default port.
     """
 
     size: float = 0.0
@@ -47,7 +47,7 @@ class World:
 
     @classmethod
     def parse(cls, text: str) -> World:
-        """The world of a text of `name=value`. Raises ValueError."""
+        """Parses a text of `name=value` pairs. Raises ValueError."""
         kinds, values = get_type_hints(cls), {}
         for part in text.split():
             name, _, value = part.partition("=")
@@ -64,12 +64,12 @@ class World:
         return world
 
     def robots(self) -> dict[int, Vector]:
-        """The first places of predators, by number: in a line from west to east."""
+        """The initial positions of the predators, by number: in a line from west to east."""
         north = -self.size / 4.0
         return {n: (north, 0.8 * (n - (self.predators + 1) / 2.0)) for n in range(1, self.predators + 1)}
 
     def prey_places(self) -> list[Vector]:
-        """The first places of the prey: north of the robots, others with another seed."""
+        """The initial positions of the prey, north of the robots; they depend on the seed."""
         places = []
         for number in range(self.prey):
             turn = 2.399963 * (self.seed + 3 * number)
@@ -79,13 +79,13 @@ class World:
         return places
 
     def inside(self, place: Vector, radius: float) -> Vector:
-        """The nearest place within the walls."""
+        """The nearest position within the walls."""
         most = self.size / 2.0 - radius if self.size else math.inf
         return min(most, max(-most, place[0])), min(most, max(-most, place[1]))
 
 
 def along_axes(way: Vector, moves: int) -> Vector:
-    """A velocity in the nearest permitted direction, as fast as before."""
+    """A velocity with the same speed in the nearest permitted direction."""
     if not moves or way == (0.0, 0.0):
         return way
     speed = math.hypot(*way)
@@ -95,12 +95,12 @@ def along_axes(way: Vector, moves: int) -> Vector:
 
 
 def escape(world: World, place: Vector, hunters: Sequence[Vector], now: float, number: int) -> Vector:
-    """The velocity of a prey in m/s, by its mind; walls are obstacles to all."""
+    """The velocity of a prey in m/s, according to its mind; moving prey avoid walls."""
     walls = _near_walls(world, place)
     if world.mind == "still":
         return 0.0, 0.0
     if world.mind == "random":
-        turn = 2.399963 * (world.seed + 7 * number + int(now / TURN) ** 2)
+        turn = 2.399963 * (world.seed + 7 * number + int(now / TURN_INTERVAL) ** 2)
         way = PREY_SPEED * math.cos(turn), PREY_SPEED * math.sin(turn)
         return along_axes(flight(place, walls) if walls else way, world.prey_moves)
     if world.mind == "away":
@@ -115,17 +115,17 @@ def _near_walls(world: World, place: Vector) -> list[Vector]:
     if not edge:
         return []
     points = [(edge, place[1]), (-edge, place[1]), (place[0], edge), (place[0], -edge)]
-    return [point for point in points if math.dist(point, place) < WALL]
+    return [point for point in points if math.dist(point, place) < WALL_DISTANCE]
 
 
 def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
-    """The velocity of a prey in m/s: to the middle of the widest gap between the hunters that it sees."""
+    """The velocity of a prey in m/s: to the middle of the widest gap between the visible hunters."""
     visible = [
         (hunter[0] - place[0], hunter[1] - place[1])
         for hunter in hunters
         if math.dist(hunter, place) < VISUAL_RANGE
     ]
-    if all(math.hypot(*way) > NEAR for way in visible):
+    if all(math.hypot(*way) > FLIGHT_DISTANCE for way in visible):
         return 0.0, 0.0
     angles = sorted(math.atan2(east, north) for north, east in visible)
     ends = [*angles[1:], angles[0] + math.tau]
@@ -134,7 +134,7 @@ def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
 
 
 def is_enclosed(place: Vector, robots: Sequence[tuple[Vector, float]]) -> bool:
-    """Whether a prey fits through no gap between robots (place and radius), which are on all sides."""
+    """Whether robots (position and radius) surround a prey, without a gap that is wide enough for it."""
     around = sorted(robots, key=lambda robot: math.atan2(robot[0][1] - place[1], robot[0][0] - place[0]))
     for (one, radius), (other, other_radius) in zip(around, [*around[1:], *around[:1]], strict=True):
         first = math.atan2(one[1] - place[1], one[0] - place[0])

@@ -1,4 +1,4 @@
-"""The plane, its physics and its robots: properties of the pure parts, and the driver on the bench."""
+"""Properties of the plane and its robots, and tests of the driver."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield_arena.driver import ArenaDriver
 from lfield_arena.fake import SIM
 from lfield_arena.field import GRIP, LAYOUTS, RADIUS, Body, Field, Layout
 from lfield_arena.plane import TICK
-from lfield_arena.robot import FASTEST, Robot
+from lfield_arena.robot import MAX_SPEED, Robot
 from lfield_arena.world import PREY_RADIUS, PREY_SPEED, World, escape, flight, is_enclosed
 
 from lfield.driver import DeviceError
@@ -26,11 +26,11 @@ from lfield.testing.desk import Desk
 from lfield.testing.driver_bench import DriverBench, bind
 
 SPEEDS = st.floats(-0.5, 0.5)
-WISHES = st.lists(st.tuples(SPEEDS, SPEEDS), min_size=3, max_size=3)
+VELOCITIES = st.lists(st.tuples(SPEEDS, SPEEDS), min_size=3, max_size=3)
 
 
-def with_wishes(field, wishes):
-    for robot, velocity in zip(field.robots.values(), wishes, strict=True):
+def with_velocities(field, velocities):
+    for robot, velocity in zip(field.robots.values(), velocities, strict=True):
         robot.velocity = velocity
     return field
 
@@ -44,16 +44,16 @@ def behind(*asides):
 # --- the physics ----------------------------------------------------------------------------------
 
 
-@given(st.lists(WISHES, min_size=1, max_size=40))
+@given(st.lists(VELOCITIES, min_size=1, max_size=40))
 @settings(max_examples=50)
-def test_energy_is_not_created(rounds):
+def test_energy_is_not_created(steps):
     field = behind(-0.4, 0.0, 0.4)
-    for wishes in rounds:
-        with_wishes(field, wishes)
-        before, most = field.box.energy, sum(GRIP * math.hypot(*velocity) for velocity in wishes)
+    for velocities in steps:
+        with_velocities(field, velocities)
+        before, power = field.box.energy, sum(GRIP * math.hypot(*velocity) for velocity in velocities)
         field.step(TICK)
-        # The work of the wheels is at most their grip times their speed; the floor only takes energy.
-        assert field.box.energy <= before + most * TICK + 1e-9
+        # The work of the wheels is at most their grip times their speed; friction only reduces the energy.
+        assert field.box.energy <= before + power * TICK + 1e-9
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
@@ -71,7 +71,7 @@ def test_unpushed_box_comes_to_rest(north, east, spin):
 @given(st.floats(0.05, 0.5), st.floats(0.1, 0.45))
 @settings(max_examples=30)
 def test_symmetric_push_moves_straight(speed, aside):
-    field = with_wishes(behind(-aside, 0.0, aside), [(speed, 0.0)] * 3)
+    field = with_velocities(behind(-aside, 0.0, aside), [(speed, 0.0)] * 3)
     for _ in range(100):
         field.step(TICK)
     assert field.box.north > 0.0
@@ -81,30 +81,31 @@ def test_symmetric_push_moves_straight(speed, aside):
 
 @given(st.floats(0.1, 0.5))
 def test_unequal_push_turns_the_box_away_from_the_stronger_side(aside):
-    field = with_wishes(behind(-aside, 0.0, aside), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.0)])
+    field = with_velocities(behind(-aside, 0.0, aside), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.0)])
     for _ in range(100):
         field.step(TICK)
-    assert field.box.heading < 0.0, "the right side is pushed: it turns to the left"
+    assert field.box.heading < 0.0, "a push at the right side must turn the box to the left"
 
 
 def test_push_below_the_friction_moves_nothing():
-    field = with_wishes(behind(0.0), [(0.1, 0.0)])
+    field = with_velocities(behind(0.0), [(0.1, 0.0)])
     for _ in range(100):
         field.step(TICK)
-    assert (field.box.north, field.box.heading) == (0.0, 0.0), f"{GRIP} N against {FRICTION} N"
+    assert (field.box.north, field.box.heading) == (0.0, 0.0)
+    assert GRIP < FRICTION
 
 
 @given(
     st.sampled_from(["box", "hunt"]), st.lists(st.tuples(SPEEDS, SPEEDS), min_size=4, max_size=4), st.data()
 )
 @settings(max_examples=40, deadline=None)
-def test_objects_do_not_overlap(layout, wishes, data):
+def test_objects_do_not_overlap(layout, velocities, data):
     field = Field.of(LAYOUTS[layout])
     for prey in field.all_prey:
-        # All robots drive towards it.
         prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
     for _ in range(300):
-        for robot, velocity in zip(field.robots.values(), wishes, strict=False):
+        # All robots drive towards the first object.
+        for robot, velocity in zip(field.robots.values(), velocities, strict=False):
             goal = field.targets[0]
             robot.velocity = (
                 velocity[0] + 0.5 * (goal[0] - robot.place[0]),
@@ -120,10 +121,9 @@ def test_objects_do_not_overlap(layout, wishes, data):
 
 
 @given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), max_size=5))
-def test_prey_runs_at_its_speed_or_stands(hunters):
-    assert math.hypot(*flight((0.0, 0.0), hunters)) == pytest.approx(PREY_SPEED) or flight(
-        (0.0, 0.0), hunters
-    ) == (0.0, 0.0)
+def test_prey_has_its_full_speed_or_stands(hunters):
+    speed = math.hypot(*flight((0.0, 0.0), hunters))
+    assert speed == 0.0 or speed == pytest.approx(PREY_SPEED)
 
 
 @given(st.sampled_from(["still", "random", "away", "gap"]), st.integers(0, 50), st.floats(3.0, 12.0))
@@ -187,10 +187,10 @@ def test_robot_moving_along_the_axes_reaches_its_goal():
     assert all(min(abs(north), abs(east)) < 1e-12 for north, east in steps)
 
 
-def test_prey_runs_from_one_hunter_and_between_two():
+def test_prey_flees_from_one_hunter_and_between_three():
     assert flight((0.0, 0.0), [(1.0, 0.0)]) == pytest.approx((-PREY_SPEED, 0.0))
     assert flight((0.0, 0.0), [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0)]) == pytest.approx((-PREY_SPEED, 0.0))
-    assert flight((0.0, 0.0), [(1.5, 0.0)]) == (0.0, 0.0), "far enough away"
+    assert flight((0.0, 0.0), [(1.5, 0.0)]) == (0.0, 0.0), "a distant hunter must not matter"
 
 
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-math.pi, math.pi))
@@ -222,7 +222,7 @@ def test_robot_never_exceeds_its_maximum_speed(north, east):
     for request in (f"drive {north} {east}", f"go {north} {east} 9"):
         robot.answer(request)
         robot.step(TICK)
-        assert math.hypot(*robot.body.velocity) <= FASTEST + 1e-9
+        assert math.hypot(*robot.body.velocity) <= MAX_SPEED + 1e-9
 
 
 def test_watchdog_stops_a_robot_without_requests():
@@ -240,13 +240,13 @@ def test_watchdog_stops_a_robot_without_requests():
 
 
 class Wire:
-    """A robot with a connection in memory: requests are answered, unless it is cut."""
+    """A robot with a connection in memory. `cut` drops requests; `state` replaces the answers to `?`."""
 
     def __init__(self):
-        self.field, self.cut, self.says = Field.of(LAYOUTS["hunt"]), False, None
+        self.field, self.cut, self.state = Field.of(LAYOUTS["hunt"]), False, None
         self.robot = Robot(self.field, 1)
 
-    async def live(self):
+    async def run(self):
         while True:
             await asyncio.sleep(TICK)
             self.robot.step(TICK)
@@ -259,8 +259,8 @@ class Wire:
     def write(self, data):
         if not self.cut:
             line = data.decode().strip()
-            said = self.says if self.says and line == "?" else self.robot.answer(line)
-            self.reader.feed_data(f"{said}\n".encode())
+            answer = self.state if self.state and line == "?" else self.robot.answer(line)
+            self.reader.feed_data(f"{answer}\n".encode())
 
     def close(self):
         pass
@@ -274,30 +274,30 @@ def wire():
 @pytest.fixture
 def bench(wire):
     binding = bind(PLUGIN, endpoint="tcp:memory:1", limits={"speed": 0.4, "radius": 5.0})
-    return DriverBench(PLUGIN, binding, make=partial(ArenaDriver, connect=wire.connect), fakes=[wire.live])
+    return DriverBench(PLUGIN, binding, make=partial(ArenaDriver, connect=wire.connect), fakes=[wire.run])
 
 
-def test_drive_to_ends_at_the_goal(bench, wire):
-    async def story(robot):
+def test_drive_to_returns_true_at_the_goal(bench, wire):
+    async def scenario(robot):
         assert await robot.execute("driveTo", [0.5, -1.0, 5.0]) is True
         assert wire.robot.body.place == pytest.approx((0.5, -1.0), abs=0.011)
         assert bench.values["position"] == pytest.approx([0.5, -1.0], abs=0.011)
         assert bench.values["target"][0] == pytest.approx(1.6, abs=0.2)
 
-    bench.run(story)
+    bench.run(scenario)
 
 
-def test_unreachable_goal_ends_at_the_present_position(bench, wire):
-    async def story(robot):
+def test_drive_to_stops_the_robot_when_the_time_is_over(bench, wire):
+    async def scenario(robot):
         assert await robot.execute("driveTo", [3.0, -1.2, 1.0]) is False
-        assert 0.3 < wire.robot.body.place[0] < 0.5, "at 0.4 m/s"
+        assert 0.3 < wire.robot.body.place[0] < 0.5  # after 1 s at 0.4 m/s
         await bench.until(lambda: robot.moving() == "")
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 def test_driver_kicks_and_reports_the_score(bench, wire):
-    async def story(robot):
+    async def scenario(robot):
         wire.field.ball = Ball((0.0, 5.0))
         assert await robot.execute("kick", [1.0]) is False
         place = wire.robot.body.place
@@ -306,11 +306,11 @@ def test_driver_kicks_and_reports_the_score(bench, wire):
         assert wire.field.ball.speed[0] > 0.9
         await bench.until(lambda: bench.values["match"][1:] == [2, 1])
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 @pytest.mark.parametrize(
-    ("call", "why"),
+    ("call", "message"),
     [
         (("driveTo", [math.nan, 0.0, 1.0]), "numbers must be finite"),
         (("driveTo", [4.0, 4.0, 1.0]), "outside the radius of 5 m"),
@@ -318,28 +318,28 @@ def test_driver_kicks_and_reports_the_score(bench, wire):
         (("setVelocity", [math.inf, 0.0]), "numbers must be finite"),
     ],
 )
-def test_command_beyond_a_limit_is_refused(bench, wire, call, why):
-    async def story(robot):
-        with pytest.raises(DeviceError, match=why):
+def test_command_beyond_a_limit_is_refused(bench, wire, call, message):
+    async def scenario(robot):
+        with pytest.raises(DeviceError, match=message):
             await robot.execute(*call)
         assert wire.robot.body.velocity == (0.0, 0.0)
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 def test_motor_fault_in_motion_is_an_error(bench, wire):
-    async def story(robot):
+    async def scenario(robot):
         asyncio.get_running_loop().call_later(0.5, wire.robot.answer, "wrong 1 1")
         with pytest.raises(DeviceError, match="its motors are off: a fault"):
             await robot.execute("driveTo", [3.0, 0.0, 10.0])
         with pytest.raises(DeviceError, match="its motors are off: a fault"):
             await robot.execute("setVelocity", [0.1, 0.0])
 
-    bench.run(story)
+    bench.run(scenario)
 
 
-def test_cut_connection_is_reported_and_returns(bench, wire):
-    async def story(robot):
+def test_loss_and_recovery_of_the_connection_are_logged(bench, wire):
+    async def scenario(robot):
         wire.cut = True
         with pytest.raises(DeviceError, match="no answer"):
             await robot.execute("driveTo", [1.0, 0.0, 1.0])
@@ -348,17 +348,17 @@ def test_cut_connection_is_reported_and_returns(bench, wire):
         wire.cut = False
         await bench.until(lambda: bench.notes[-1] == "it responds again")
 
-    bench.run(story)
+    bench.run(scenario)
 
 
-@pytest.mark.parametrize("nonsense", ["north 1", "what?", "north x east 2", "north nan east 2 moving 0"])
-def test_invalid_state_is_an_error(bench, wire, nonsense):
-    async def story(robot):
-        wire.says = nonsense
+@pytest.mark.parametrize("state", ["north 1", "what?", "north x east 2", "north nan east 2 moving 0"])
+def test_invalid_state_is_an_error(bench, wire, state):
+    async def scenario(robot):
+        wire.state = state
         with pytest.raises(DeviceError, match="its state is invalid"):
             await robot.make_safe()
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 def test_arena_driver_passes_the_kit():
@@ -366,5 +366,5 @@ def test_arena_driver_passes_the_kit():
     plugins.add("lfield_arena:PLUGIN")
     desk = Desk(plugins=plugins)
     fake = desk.fake(SIM, "--plane", "hunt")
-    found = desk.try_kit(bind(PLUGIN, endpoint=fake.endpoint))
-    assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []
+    results = desk.try_kit(bind(PLUGIN, endpoint=fake.endpoint))
+    assert [f"{r.check}: {r.seen}" for r in results if r.outcome == "failed"] == []

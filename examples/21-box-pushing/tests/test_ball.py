@@ -1,4 +1,4 @@
-"""The ball and its pitch: properties of the physics of examples/23-soccer."""
+"""Properties of the ball and the pitch of examples/23-soccer."""
 
 from __future__ import annotations
 
@@ -7,7 +7,17 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lfield_arena.ball import BALL_RADIUS, GOAL, HARDEST, LENGTH, PAUSE, REACH, ROLLING_FRICTION, WIDTH, Ball
+from lfield_arena.ball import (
+    BALL_RADIUS,
+    GOAL,
+    LENGTH,
+    MAX_KICK_SPEED,
+    PAUSE,
+    REACH,
+    ROLLING_FRICTION,
+    WIDTH,
+    Ball,
+)
 from lfield_arena.field import LAYOUTS, RADIUS, Body, Field
 from lfield_arena.plane import TICK
 from lfield_arena.referee import Referee
@@ -15,13 +25,13 @@ from lfield_arena.robot import Robot
 from lfield_arena.world import World
 
 COORDINATES = st.tuples(st.floats(-1.9, 1.9), st.floats(-1.4, 1.4))
-SPEEDS = st.tuples(st.floats(-HARDEST, HARDEST), st.floats(-HARDEST, HARDEST))
-#: Target of each robot, and whether it kicks all the time.
-WILLS = st.lists(st.tuples(COORDINATES, st.booleans()), min_size=6, max_size=6)
+SPEEDS = st.tuples(st.floats(-MAX_KICK_SPEED, MAX_KICK_SPEED), st.floats(-MAX_KICK_SPEED, MAX_KICK_SPEED))
+#: For each robot, its target, and whether the robot always kicks.
+COMMANDS = st.lists(st.tuples(COORDINATES, st.booleans()), min_size=6, max_size=6)
 
 
 def on_pitch(ball):
-    """Whether it is within the walls, or between the posts of a goal."""
+    """Whether the ball is within the walls, or between the posts of a goal."""
     north, east = abs(ball.place[0]), abs(ball.place[1])
     between = east <= GOAL / 2.0 - BALL_RADIUS + 1e-9
     return east <= WIDTH / 2.0 - BALL_RADIUS + 1e-9 and (
@@ -41,18 +51,18 @@ def test_free_ball_stays_on_the_pitch_and_comes_to_rest(place, speed):
     assert fast == pytest.approx(0.0, abs=1e-6)
 
 
-@given(COORDINATES, SPEEDS, WILLS)
+@given(COORDINATES, SPEEDS, COMMANDS)
 @settings(max_examples=40, deadline=None)
-def test_ball_leaves_only_through_a_goal_and_never_overlaps_a_robot(place, speed, wills):
+def test_ball_leaves_only_through_a_goal_and_never_overlaps_a_robot(place, speed, commands):
     field = Field.of(LAYOUTS["pitch"])
     field.ball.place, field.ball.speed = place, speed
     robots = [Robot(field, number) for number in field.robots]
-    for robot, ((north, east), _) in zip(robots, wills, strict=True):
+    for robot, ((north, east), _) in zip(robots, commands, strict=True):
         robot.answer(f"go {north} {east} 0.5")
     overlaps = 0
     for _ in range(300):
         before = sum(field.ball.goals)
-        for robot, (_, kicks) in zip(robots, wills, strict=True):
+        for robot, (_, kicks) in zip(robots, commands, strict=True):
             if kicks:
                 robot.answer("kick 2")
             robot.step(TICK)
@@ -61,7 +71,7 @@ def test_ball_leaves_only_through_a_goal_and_never_overlaps_a_robot(place, speed
         assert (sum(field.ball.goals) > before) == (field.ball.rests == PAUSE)
         near = min(field.ball.touch(body.place, RADIUS)[0] for body in field.robots.values())
         overlaps = overlaps + 1 if near < -1e-3 and not field.ball.rests else 0
-        assert overlaps < 5, "not for longer than 50 ms"
+        assert overlaps < 5, "an overlap must be shorter than 50 ms"
 
 
 @given(COORDINATES, SPEEDS)
@@ -90,16 +100,16 @@ def test_goal_counts_once_and_the_ball_returns_to_the_middle(way, goals):
 def test_kick_moves_the_ball_away_from_the_robot(bearing, gap, speed):
     away = RADIUS + BALL_RADIUS + gap
     ball = Ball((away * math.cos(bearing), away * math.sin(bearing)))
-    assert ball.kicked((0.0, 0.0), RADIUS, speed)
-    fast = min(HARDEST, max(0.0, speed))
+    assert ball.kick((0.0, 0.0), RADIUS, speed)
+    fast = min(MAX_KICK_SPEED, max(0.0, speed))
     assert ball.speed == pytest.approx((fast * math.cos(bearing), fast * math.sin(bearing)))
 
 
-def test_distant_resting_or_absent_ball_is_not_kicked():
-    there = Body((0.0, 0.0))
-    assert Robot(Field({1: there}), 1).answer("kick 1") == "no ball"
+def test_kick_needs_a_near_ball_in_play():
+    body = Body((0.0, 0.0))
+    assert Robot(Field({1: body}), 1).answer("kick 1") == "no ball"
     ball = Ball((RADIUS + BALL_RADIUS + REACH + 0.01, 0.0))
-    robot = Robot(Field({1: there}, ball=ball), 1)
+    robot = Robot(Field({1: body}, ball=ball), 1)
     assert robot.answer("kick 1") == "no ball"
     ball.place, ball.rests = (0.2, 0.0), 1.0
     assert robot.answer("kick 1") == "no ball"

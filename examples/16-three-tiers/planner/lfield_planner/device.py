@@ -1,4 +1,4 @@
-"""The device: its instructions and telemetry. Answers of the planner are always checked."""
+"""The device: instructions, telemetry, and checks of the planner's answers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Place = Sequence[float]
 
 
 class PlannerDevice(Device):
-    """A planner. A pure sensor: it computes and moves nothing."""
+    """A planner: a pure sensor, which moves nothing."""
 
     def __init__(
         self, binding: Any, manifest: Any, clock: Any, reports: Any, ask: Callable[[str], Awaitable[str]]
@@ -28,7 +28,7 @@ class PlannerDevice(Device):
         self._plans = self._failures = 0
 
     async def publish_contact(self, alive: Callable[[], bool]) -> None:
-        """Reports contact while the planner runs."""
+        """Reports contact and telemetry while the planner runs."""
         while True:
             if alive():
                 self.heard()
@@ -52,18 +52,18 @@ class PlannerDevice(Device):
         if not all(map(math.isfinite, (*sites, *worth, *start, reach))) or min(worth, default=1.0) <= 0.0:
             raise self.error("sites, start and reach must be finite, and the worth of a site above 0")
         request = {"sites": places, "worth": worth, "start": start, "reach": reach}
-        self._failures += 1  # until it has succeeded
+        self._failures += 1  # subtracted again after success
         try:
-            tour = self._read(await self._ask_with_retries(json.dumps(request)))
-            if wrong := mistake(tour, places, start, reach):
-                raise self.error(f"its plan is invalid: {wrong}")
+            tour = self._read(await self._ask_in_time(json.dumps(request)))
+            if error := tour_error(tour, places, start, reach):
+                raise self.error(f"its plan is invalid: {error}")
             self._plans, self._failures = self._plans + 1, self._failures - 1
             self.heard()
             return tour
         finally:
             self.publish(plans=self._plans, failures=self._failures)
 
-    async def _ask_with_retries(self, request: str) -> str:
+    async def _ask_in_time(self, request: str) -> str:
         patience = self.binding.option("patience")
         try:
             async with asyncio.timeout(patience):
@@ -86,13 +86,13 @@ class PlannerDevice(Device):
         raise self.error(f"its answer is invalid: {answer[:80]!r}")
 
 
-def mistake(tour: Sequence[int], sites: Sequence[Place], start: Place, reach: float) -> str:
-    """What is wrong with a tour that ends at home, (0, 0); '' for nothing."""
+def tour_error(tour: Sequence[int], sites: Sequence[Place], start: Place, reach: float) -> str:
+    """The error of a tour from `start` to home, (0, 0), or '' for a valid tour."""
     unknown = next((site for site in tour if not 0 <= site < len(sites)), None)
     if unknown is not None:
         return f"there is no site {unknown}"
     if len(set(tour)) < len(tour):
         return f"it visits a site twice: {list(tour)}"
-    way = [start, *(sites[site] for site in tour), (0.0, 0.0)]
-    length = sum(math.dist(a, b) for a, b in pairwise(way))
+    path = [start, *(sites[site] for site in tour), (0.0, 0.0)]
+    length = sum(math.dist(a, b) for a, b in pairwise(path))
     return "" if length <= reach + TOLERANCE else f"it is {length:.0f} m long, more than {reach:.0f} m"

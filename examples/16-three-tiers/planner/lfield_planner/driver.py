@@ -1,7 +1,7 @@
-"""The planner as a bus: a process that answers each line by a line, here or on another computer.
+"""Connects to the planner: a process on this or another computer that answers each line with a line.
 
-The guard's event loop never waits for it. Cancelling a request ends the process, or closes the link; the next
-request starts a new one.
+The guard's event loop never blocks. A cancelled request ends the process, or closes the connection; the next
+request starts the process, or connects, again.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_planner.device import PlannerDevice
 
-#: Seconds to connect, and bytes of the longest line.
+#: Seconds: time-out of a connection attempt. Bytes: maximum length of a line.
 CONNECT, LONGEST = 10.0, 1 << 16
-#: The planner in its own process. Another language would need another command.
+#: The command of the planner's process. A planner in another language needs another command.
 WORKER = (sys.executable, "-m", "lfield_planner.worker")
 
 Link = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 class PlannerDriver(Driver):
-    """`process:` starts a planner and ends it; `tcp:HOST:PORT` connects to one that runs elsewhere."""
+    """`process:` starts a planner process and ends it; `tcp:HOST:PORT` connects to a running planner."""
 
     def __init__(self, *given: Any, command: Sequence[str] = WORKER) -> None:
         self._command = command
@@ -48,7 +48,7 @@ class PlannerDriver(Driver):
             await process.wait()
 
     async def ask(self, line: str) -> str:
-        """Sends a request and returns its answer; cancelling it ends the planner. Raises DeviceError."""
+        """Sends a request and returns the answer; a cancellation disconnects. Raises DeviceError."""
         async with self._lock:
             try:
                 reader, writer = self._link or await self._connect()
@@ -58,7 +58,7 @@ class PlannerDriver(Driver):
                 self._disconnect()
                 raise self._lost(str(error) or "it is gone") from None
             except asyncio.CancelledError:
-                # Its late answer would be taken for that to the next request.
+                # Otherwise the next request would receive the late answer to this one.
                 self._disconnect()
                 raise
             if not answer:

@@ -1,4 +1,4 @@
-"""The simulated device for `--sim`: the same planner, with fault injection."""
+"""The simulated planner for `--sim`: the same planner, with fault injection."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ FAULTS = (
 )
 
 
-def nonsense(kind: str, asked: str) -> str:
-    """An invalid answer to a request."""
-    request = json.loads(asked)
+def invalid_answer(kind: str, line: str) -> str:
+    """An invalid answer to a request line; `kind` is a value of the fault `nonsense`."""
+    request = json.loads(line)
     count = len(request["sites"])
     if kind == "unknown":
         return json.dumps({"tour": [count]})
@@ -50,7 +50,7 @@ class PlannerSim:
         add_fault_option(parser)
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """The simulated device of a binding, on a free port."""
+        """The command line of the simulated device of a binding, on a free port."""
         return ["--listen", "tcp:127.0.0.1:0", "--called", devices[0].name]
 
     def run(self, args: argparse.Namespace) -> int:
@@ -60,11 +60,11 @@ class PlannerSim:
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """As `run`, on the running loop, which may be that of a mission's test."""
+        """Serves in the running event loop, for example of a test with virtual time."""
         faults = Faults(FAULTS, {"1": args.called})
         faults.apply(args.fault)
         _, host, port = args.listen.split(":")
-        server = await asyncio.start_server(Talk(faults).serve, host, int(port), limit=1 << 16)
+        server = await asyncio.start_server(PlannerServer(faults).serve, host, int(port), limit=1 << 16)
         host, port = server.sockets[0].getsockname()[:2]
         endpoint = f"tcp:{host}:{port}"
         try:
@@ -76,8 +76,8 @@ class PlannerSim:
             server.close()
 
 
-class Talk:
-    """Serves its connections."""
+class PlannerServer:
+    """Answers requests on connections, with the faults."""
 
     def __init__(self, faults: Faults) -> None:
         self._get = faults.get
@@ -95,17 +95,17 @@ class Talk:
         finally:
             writer.close()
 
-    async def _answer(self, asked: str) -> str:
-        if not json.loads(asked)["sites"]:
-            return json.dumps({"tour": []})  # trivial requests never fail
+    async def _answer(self, line: str) -> str:
+        if not json.loads(line)["sites"]:
+            return json.dumps({"tour": []})  # the request of `PlannerDevice._open` never fails
         if seconds := self._get("slow", 1):
             await asyncio.sleep(seconds)
         if error := self._get("fails", 1):
             return json.dumps({"error": error})
         if kind := self._get("nonsense", 1):
-            return nonsense(kind, asked)
-        # In a thread: the fault-injection socket must respond meanwhile.
-        return await asyncio.get_running_loop().run_in_executor(None, answer, asked)
+            return invalid_answer(kind, line)
+        # In a thread, because the event loop also serves the fault-injection socket.
+        return await asyncio.get_running_loop().run_in_executor(None, answer, line)
 
 
 SIM = PlannerSim()

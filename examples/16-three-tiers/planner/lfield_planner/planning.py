@@ -1,6 +1,6 @@
-"""The planner: selects and orders sites by the optimiser HiGHS.
+"""The planner: selects and orders sites with the optimiser HiGHS.
 
-Independent of lfield: any program that answers a line by a line can replace it.
+This module is independent of lfield. Any program that answers each line with a line can replace the planner.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ TIME_LIMIT, TOLERANCE = 60.0, 1e-6
 def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: float) -> list[int]:
     """The sites to visit on a path of at most `reach` metres from `start` that ends at home, (0, 0).
 
-    It maximises their total worth, then minimises the length. A mixed-integer program with a variable per
-    leg, and one for the position of each site in the tour, which excludes subtours (Miller, Tucker and
-    Zemlin). Raises ValueError when there is no such path.
+    The tour has the maximum total worth and, among such tours, the minimum length. The mixed-integer program
+    has a variable for each leg, and a variable for the position of each site in the tour, which excludes
+    subtours (Miller, Tucker and Zemlin). Raises ValueError if there is no such path.
     """
     first, home = len(sites), len(sites) + 1
     places = [*sites, start, (0.0, 0.0)]
@@ -33,21 +33,21 @@ def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: fl
     solver.addConstr(length <= reach)
     solver.addConstr(sum(legs[first, b] for b in (*range(first), home)) == 1)
     for site in range(first):
-        comes = sum(chosen for (_, b), chosen in legs.items() if b == site)
-        goes = sum(chosen for (a, _), chosen in legs.items() if a == site)
-        solver.addConstr(comes == goes)
-        solver.addConstr(comes <= 1)
+        arrivals = sum(chosen for (_, b), chosen in legs.items() if b == site)
+        departures = sum(chosen for (a, _), chosen in legs.items() if a == site)
+        solver.addConstr(arrivals == departures)
+        solver.addConstr(arrivals <= 1)
     for (a, b), chosen in legs.items():
         solver.addConstr(turn[b] >= turn[a] + 1 - (home + 1) * (1 - chosen))
-    gained = sum(worth[b] * chosen for (_, b), chosen in legs.items() if b < first)
-    # The total length weighs less than the least worth of a site.
-    solver.maximize(gained - 0.5 * min(worth, default=1.0) / max(reach, 1.0) * length)
+    total_worth = sum(worth[b] * chosen for (_, b), chosen in legs.items() if b < first)
+    # The total length has less weight than the smallest worth of a site.
+    solver.maximize(total_worth - 0.5 * min(worth, default=1.0) / max(reach, 1.0) * length)
     if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
         raise ValueError(f"there is no way home of {reach:.1f} m")
-    found = {a: b for (a, b), chosen in legs.items() if solver.val(chosen) > 0.5}
-    tour = [found[first]]
+    successor = {a: b for (a, b), chosen in legs.items() if solver.val(chosen) > 0.5}
+    tour = [successor[first]]
     while tour[-1] != home:
-        tour.append(found[tour[-1]])
+        tour.append(successor[tour[-1]])
     tour.pop()
     # From home, both directions are equivalent: choose one independently of the optimiser's version.
     return min(tour, tour[::-1]) if math.dist(start, places[home]) < TOLERANCE else tour
@@ -66,9 +66,10 @@ def _silent() -> highspy.Highs:
 
 
 def answer(line: str) -> str:
-    """The answer to a request, a line of JSON each: {"tour": [2, 0]} or {"error": "..."}."""
+    """The answer to a request, each a line of JSON: {"tour": [2, 0]} or {"error": "..."}."""
     try:
-        asked = json.loads(line)
-        return json.dumps({"tour": plan(asked["sites"], asked["worth"], asked["start"], asked["reach"])})
+        request = json.loads(line)
+        tour = plan(request["sites"], request["worth"], request["start"], request["reach"])
+        return json.dumps({"tour": tour})
     except Exception as error:  # report it to the client and continue
         return json.dumps({"error": f"{type(error).__name__}: {error}"})

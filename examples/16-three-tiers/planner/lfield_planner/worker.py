@@ -1,6 +1,6 @@
-"""The planner in its own process: `python -m lfield_planner.worker` answers each line by a line.
+"""The planner's process: `python -m lfield_planner.worker` answers each line of stdin with a line of stdout.
 
-It computes for seconds, which a guard must never wait for. A process can be killed; a thread cannot.
+A plan needs seconds, and the guard's event loop must not block. A process can be killed; a thread cannot.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import TextIO
 
 
 def own_output() -> TextIO:
-    """Standard output for our lines only: output of libraries, such as HiGHS's name, goes to stderr."""
-    ours = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
+    """Standard output for answers only; the output of libraries, such as HiGHS, is redirected to stderr."""
+    output = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
     os.dup2(2, 1)
-    return ours
+    return output
 
 
 def main() -> None:
-    """Serves until the end of stdin."""
+    """Answers requests until the end of stdin."""
     output = own_output()
-    # Imported here: it takes a moment.
+    # Imported after the redirection, because the import may print.
     from lfield_planner.planning import answer
 
     for line in sys.stdin:

@@ -1,4 +1,4 @@
-"""The planner's driver with the optimiser in its process, and with faulty programs instead."""
+"""The planner's driver, with the optimiser and with faulty programs in its process."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from functools import partial
 import msgspec
 import pytest
 from lfield_planner import PLUGIN
-from lfield_planner.device import mistake
+from lfield_planner.device import tour_error
 from lfield_planner.driver import PlannerDriver
-from lfield_planner.fake import nonsense
+from lfield_planner.fake import invalid_answer
 from lfield_planner.planning import answer, plan
 
 from lfield.driver import DeviceError
@@ -24,15 +24,15 @@ from lfield.testing.driver_bench import DriverBench, bind, running_fake
 
 HOME = (0.0, 0.0)
 
-#: Writes its process id, and then a fixed answer to each line.
+#: A planner that writes its process id to a file, and answers each line with its first argument.
 STUB = """
 import json, os, sys, time
 open(sys.argv[2], "w").write(str(os.getpid()))
 for line in sys.stdin:
-    asked = json.loads(line)
-    if not asked["sites"]:
+    request = json.loads(line)
+    if not request["sites"]:
         print('{"tour": []}', flush=True)
-    elif asked["reach"] == 13.0:
+    elif request["reach"] == 13.0:
         time.sleep(1000)
     else:
         print(sys.argv[1], flush=True)
@@ -42,9 +42,9 @@ for line in sys.stdin:
 
 
 def length(start, sites, tour):
-    """The length of the path from the start by these sites home."""
-    way = [start, *(sites[site] for site in tour), HOME]
-    return sum(math.dist(a, b) for a, b in itertools.pairwise(way))
+    """The length of the path from the start to the sites of a tour and home."""
+    path = [start, *(sites[site] for site in tour), HOME]
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(path))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -54,20 +54,19 @@ def test_planned_route_is_optimal(seed):
     worth = [rng.choice((1.0, 3.0)) for _ in sites]
     start = rng.choice((HOME, (rng.uniform(-20, 20), 5.0)))
     reach = rng.uniform(math.dist(start, HOME) + 0.1, 250.0)
-    ways = (
-        way for count in range(len(sites) + 1) for way in itertools.permutations(range(len(sites)), count)
-    )
+    counts = range(len(sites) + 1)
+    tours = [tour for count in counts for tour in itertools.permutations(range(len(sites)), count)]
     best = max(
-        (sum(worth[site] for site in way), -length(start, sites, way))
-        for way in ways
-        if length(start, sites, way) <= reach
+        (sum(worth[site] for site in tour), -length(start, sites, tour))
+        for tour in tours
+        if length(start, sites, tour) <= reach
     )
-    found = plan(sites, worth, start, reach)
-    assert mistake(found, sites, start, reach) == ""
-    assert (sum(worth[site] for site in found), -length(start, sites, found)) == pytest.approx(best)
+    tour = plan(sites, worth, start, reach)
+    assert tour_error(tour, sites, start, reach) == ""
+    assert (sum(worth[site] for site in tour), -length(start, sites, tour)) == pytest.approx(best)
 
 
-def test_vehicle_that_cannot_return_is_reported():
+def test_range_shorter_than_the_way_home_is_an_error():
     assert answer('{"sites": [], "worth": [], "start": [30, 40], "reach": 49}') == (
         '{"error": "ValueError: there is no way home of 49.0 m"}'
     )
@@ -75,9 +74,9 @@ def test_vehicle_that_cannot_return_is_reported():
 
 
 def planner(*command):
-    """A bench with a planner in a process: the driver's own, or another program.
+    """A bench with a planner process: the optimiser, or another command.
 
-    A Python process may take seconds to start on a loaded computer: the timeout is far longer.
+    The timeout is long, because a Python process may need seconds to start on a loaded computer.
     """
     binding = bind(PLUGIN, "Planner", field="planner", endpoint="process:", options={"patience": 120.0})
     make = partial(PlannerDriver, command=command) if command else None
@@ -88,13 +87,13 @@ def planner(*command):
 def test_planner_runs_in_its_own_process():
     bench = planner()
 
-    async def story(device):
+    async def scenario(device):
         tour = ([10.0, 0.0, 0.0, 10.0, 90.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0], 40.0)
         assert await device.execute("tour", tour) == [0, 1]
-        await bench.until(lambda: bench.values["plans"] == 2)  # the first one on opening
+        await bench.until(lambda: bench.values["plans"] == 2)  # the first plan is that of the opening
         assert bench.values["failures"] == 0
 
-    bench.run_real(story)
+    bench.run_real(scenario)
 
 
 SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
@@ -102,7 +101,7 @@ SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
 
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("said", "problem"),
+    ("answer", "message"),
     [
         ("", "process:: it ended without an answer|its answer is invalid: ''"),
         ('{"error": "out of memory"}', "it failed: out of memory"),
@@ -113,21 +112,21 @@ SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
         ('{"tour": [0, 1]}', "its plan is invalid: it is 34 m long, more than 30 m"),
     ],
 )
-def test_failing_or_invalid_planner_answer_is_rejected(said, problem, tmp_path):
-    bench = planner(sys.executable, "-c", STUB, said, str(tmp_path / "pid"))
+def test_failing_or_invalid_planner_answer_is_rejected(answer, message, tmp_path):
+    bench = planner(sys.executable, "-c", STUB, answer, str(tmp_path / "pid"))
 
-    async def story(device):
+    async def scenario(device):
         for _ in range(2):
-            with pytest.raises(DeviceError, match=problem):
+            with pytest.raises(DeviceError, match=message):
                 await device.execute("tour", (*SITES, 30.0))
         await bench.until(lambda: bench.values["failures"] == 2)
 
-    bench.run_real(story)
+    bench.run_real(scenario)
 
 
 @contextmanager
 def short_timeout(device):
-    """The device waits 0.5 s for an answer that never comes; otherwise its timeout allows slow starts."""
+    """The device waits at most 0.5 s for an answer."""
     before = device.binding
     device.binding = msgspec.structs.replace(before, options={**before.options, "patience": 0.5})
     yield
@@ -139,32 +138,30 @@ def short_timeout(device):
 def test_planner_without_an_answer_is_ended_and_replaced(cancelled, tmp_path):
     bench = planner(sys.executable, "-c", STUB, '{"tour": [0]}', str(tmp_path / "pid"))
 
-    async def story(device):
-        # A new process of Python may take a while on a loaded computer.
+    async def scenario(device):
         await bench.until(lambda: (tmp_path / "pid").exists() and bool((tmp_path / "pid").read_text()))
         first = int((tmp_path / "pid").read_text())
         if cancelled:
-            # The guard cancels it, since the program's time limit has expired.
-            thinking = asyncio.ensure_future(device.execute("tour", (*SITES, 13.0)))
+            # A guard cancels the call when the program's time limit expires.
+            call = asyncio.ensure_future(device.execute("tour", (*SITES, 13.0)))
             await asyncio.sleep(0.1)
-            thinking.cancel()
+            call.cancel()
             with pytest.raises(asyncio.CancelledError):
-                await thinking
+                await call
         else:
-            with short_timeout(device), pytest.raises(DeviceError) as ended:
+            with short_timeout(device), pytest.raises(DeviceError) as raised:
                 await device.execute("tour", (*SITES, 13.0))
-            assert "no plan within 0.5 s; the request was cancelled" in str(ended.value)
-        await bench.until(lambda: not alive(first))
+            assert "no plan within 0.5 s; the request was cancelled" in str(raised.value)
+        await bench.until(lambda: not is_running(first))
         assert await device.execute("tour", (*SITES, 30.0)) == [0]
         assert int((tmp_path / "pid").read_text()) != first
 
-    bench.run_real(story)
+    bench.run_real(scenario)
 
 
-def alive(number):
-    """Whether the process exists."""
+def is_running(pid):
     try:
-        os.kill(number, 0)
+        os.kill(pid, 0)
     except ProcessLookupError:
         return False
     return True
@@ -181,21 +178,21 @@ def alive(number):
 def test_invalid_request_is_not_sent_to_the_planner(arguments, tmp_path):
     bench = planner(sys.executable, "-c", STUB, "never", str(tmp_path / "pid"))
 
-    async def story(device):
+    async def scenario(device):
         with pytest.raises(DeviceError, match=r"a tour is of|must be finite"):
             await device.execute("tour", arguments)
 
-    bench.run_real(story)
+    bench.run_real(scenario)
 
 
 def test_other_endpoint_is_refused():
-    binding = bind(PLUGIN, "Planner", endpoint="thought:")
+    binding = bind(PLUGIN, "Planner", endpoint="unknown:")
 
-    async def story(device):
+    async def scenario(device):
         pass
 
     with pytest.raises(DeviceError, match="not an endpoint; write process: or tcp:HOST:PORT"):
-        DriverBench(PLUGIN, binding).run(story)
+        DriverBench(PLUGIN, binding).run(scenario)
 
 
 @pytest.mark.process
@@ -205,8 +202,8 @@ def test_simulated_planner_has_the_faults_of_the_real_one():
             PLUGIN, bind(PLUGIN, "Planner", endpoint=fake.endpoint, options={"patience": 120.0})
         )
 
-        async def story(device):
-            for fault, problem in (
+        async def scenario(device):
+            for fault, message in (
                 ("silent=true", "it ended without an answer"),
                 ("fails=no licence", "it failed: no licence"),
                 ("nonsense=unknown", "there is no site 2"),
@@ -215,7 +212,7 @@ def test_simulated_planner_has_the_faults_of_the_real_one():
                 ("nonsense=42", "its answer is invalid"),
             ):
                 fake.fault(fault)
-                with pytest.raises(DeviceError, match=problem):
+                with pytest.raises(DeviceError, match=message):
                     await device.execute("tour", (*SITES, 30.0))
                 fake.fault("silent=false", "fails=", "nonsense=", "slow=0")
                 assert await device.execute("tour", (*SITES, 35.0)) == [0, 1]
@@ -223,5 +220,5 @@ def test_simulated_planner_has_the_faults_of_the_real_one():
             with short_timeout(device), pytest.raises(DeviceError, match=r"no plan within 0.5 s"):
                 await device.execute("tour", (*SITES, 30.0))
 
-        bench.run_real(story)
-    assert nonsense("unknown", '{"sites": []}') == '{"tour": [0]}'
+        bench.run_real(scenario)
+    assert invalid_answer("unknown", '{"sites": []}') == '{"tour": [0]}'

@@ -1,6 +1,6 @@
-"""Hunts in different worlds: numbers, sizes, legal moves and intelligence of the prey.
+"""Runs hunts in different worlds: numbers of robots and prey, sizes, legal moves, intelligence of the prey.
 
-`python examples/22-predators/hunts.py` prints a table; `--runs N` sets the number of hunts of each row.
+`python examples/22-predators/hunt_statistics.py` prints a table; `--runs N` sets the hunts of each row.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lfield.testing.mission.mission_team import MissionTeam
 from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
-#: Each row: what differs, and the world of the plane (`world.py` of the arena).
+#: Each row: title, and the world of the plane (`world.py` of the arena).
 WORLDS: tuple[tuple[str, str], ...] = (
     ("four predators, open plane", ""),
     ("prey stands still", "mind=still"),
@@ -35,13 +35,13 @@ WORLDS: tuple[tuple[str, str], ...] = (
     ("three prey", "prey=3"),
     ("three prey, six predators, walls, 8 m", "prey=3 predators=6 size=8"),
 )
-#: Hunts of a row, each with other places of the prey; seconds until a hunt is ended.
-RUNS, PATIENCE = 5, 300.0
+#: Hunts of each row, with different positions of the prey; maximum seconds for each prey of a hunt.
+RUNS, TIME_PER_PREY = 5, 300.0
 
 
 @dataclass(frozen=True)
-class Hunt:
-    """The end of a hunt: caught and all prey, steps, hops."""
+class HuntResult:
+    """Numbers of caught prey, of all prey, of steps and of hops."""
 
     caught: int
     prey: int
@@ -49,30 +49,30 @@ class Hunt:
     hops: int
 
 
-def hunt(world: str, seed: int) -> Hunt:
-    """One hunt in a world."""
-    text = f"{world} seed={seed}".strip()
+def hunt(world: str, seed: int) -> HuntResult:
+    """Runs one hunt in a world."""
+    seeded_world = f"{world} seed={seed}".strip()
     predators, prey = _number(world, "predators", 4), _number(world, "prey", 1)
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        (place / "mission.L").write_bytes((HERE / "mission.L").read_bytes())
-        (place / "mission.dL").write_text(_deployment(predators), encoding="utf-8")
-        (place / "mission.devices.yaml").write_text(_devices(predators, text), encoding="utf-8")
-        team = MissionTeam(place / "mission.dL", seed=seed, keeps=False)
+        copy = Path(folder)
+        (copy / "mission.L").write_bytes((HERE / "mission.L").read_bytes())
+        (copy / "mission.dL").write_text(_deployment(predators), encoding="utf-8")
+        (copy / "mission.devices.yaml").write_text(_devices(predators, seeded_world), encoding="utf-8")
+        team = MissionTeam(copy / "mission.dL", seed=seed, keeps=False)
         try:
-            team.run(until_done=True, at_most=PATIENCE * prey)
+            team.run(until_done=True, at_most=TIME_PER_PREY * prey)
             (line,) = [line.text for line in team.log if " steps and " in line.text]
         finally:
             team.close()
     steps, hops = map(int, re.findall(r"after (\d+) steps and (\d+) hops", line)[0])
-    left = re.search(r"(\d+) of \d+ got away", line)
-    caught = prey if "caught by" in line else prey - int(left[1]) if left else 0
-    return Hunt(caught, prey, steps, hops)
+    escaped = re.search(r"(\d+) of \d+ got away", line)
+    caught = prey if "caught by" in line else prey - int(escaped[1]) if escaped else 0
+    return HuntResult(caught, prey, steps, hops)
 
 
-def _number(world: str, name: str, otherwise: int) -> int:
-    found = re.search(rf"\b{name}=(\d)", world)
-    return int(found[1]) if found else otherwise
+def _number(world: str, name: str, default: int) -> int:
+    match = re.search(rf"\b{name}=(\d)", world)
+    return int(match[1]) if match else default
 
 
 def _deployment(predators: int) -> str:
@@ -89,27 +89,29 @@ def _devices(predators: int, world: str) -> str:
     return "".join(["unreachable_after: 1\nagents:\n", *rows])
 
 
-def row(name: str, hunts: Sequence[Hunt]) -> str:
-    """A row of the table: prey caught of all, and medians of the steps and hops per prey that was caught."""
-    caught, prey = sum(one.caught for one in hunts), sum(one.prey for one in hunts)
-    good = [one for one in hunts if one.caught == one.prey]
-    steps = f"{median(one.steps / one.prey for one in good):.0f}" if good else "-"
-    hops = f"{median(one.hops / one.prey for one in good):.0f}" if good else "-"
+def table_row(name: str, hunts: Sequence[HuntResult]) -> str:
+    """A row of the table; steps and hops are medians of the hunts in which all prey were caught."""
+    caught, prey = sum(hunt.caught for hunt in hunts), sum(hunt.prey for hunt in hunts)
+    complete = [hunt for hunt in hunts if hunt.caught == hunt.prey]
+    steps = f"{median(hunt.steps / hunt.prey for hunt in complete):.0f}" if complete else "-"
+    hops = f"{median(hunt.hops / hunt.prey for hunt in complete):.0f}" if complete else "-"
     return f"| {name} | {caught} of {prey} | {steps} | {hops} |"
 
 
 def main() -> None:
-    """Print the table."""
+    """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=RUNS)
-    parser.add_argument("names", nargs="*", help="only rows with one of these texts in their names")
+    parser.add_argument("names", nargs="*", help="print only rows whose name contains one of these texts")
     args = parser.parse_args()
-    worlds = [row for row in WORLDS if not args.names or any(part in row[0] for part in args.names)]
+    worlds = [
+        (name, world) for name, world in WORLDS if not args.names or any(part in name for part in args.names)
+    ]
     if args.runs < 1 or not worlds:
-        parser.error("--runs is at least 1, and a name is a part of a row's name")
+        parser.error("--runs must be at least 1, and a row must contain one of the texts")
     print("| world | caught | steps per prey | hops per prey |\n|---|---:|---:|---:|")
     for name, world in worlds:
-        print(row(name, [hunt(world, seed) for seed in range(args.runs)]), flush=True)
+        print(table_row(name, [hunt(world, seed) for seed in range(args.runs)]), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Draws a run of the mission: time to the right, hosts from top to bottom.
+"""Draws the turns of the clients: time from left to right, hosts from top to bottom.
 
-`python examples/15-tuple-space/carried.py` runs the mission of the page, and draws tracks.svg.
+`python examples/15-tuple-space/draw_turns.py` runs the mission with a host failure, and draws tracks.svg.
 """
 
 from __future__ import annotations
@@ -13,36 +13,36 @@ from lfield.testing.mission.call_record import RecordedCall
 from lfield.testing.mission.mission_team import MissionTeam
 
 HERE = Path(__file__).parent
-#: Pixels per second and per host, left margin, and distance of lanes in the space.
+#: Pixels: per second, per host, left margin, distance of the lanes of the space.
 SECOND, ROW, LEFT, LANE = 84.0, 72.0, 64.0, 8.0
-#: The hosts from the top, with the space in the middle; a colour for each carrier (Okabe and Ito, 2008).
+#: Hosts from top to bottom, with the space's host in the middle; colours of clients (Okabe and Ito, 2008).
 HOSTS = ("sky", "north", "farm", "south", "east")
 COLOURS = {"scout": "#0072b2", "hoe1": "#d55e00", "hoe2": "#009e73", "fork": "#cc79a7"}
 
 
 def main() -> None:
-    """Runs it: the computer of a hoe is killed while it pulls a weed, and restarted."""
-    team = shown(MissionTeam(HERE / "mission.dL"))
+    """Runs the mission and draws it."""
+    team = MissionTeam(HERE / "mission.dL")
+    run_with_host_failure(team)
     (HERE / "tracks.svg").write_text(draw(team))
     team.close()
 
 
-def shown(team: MissionTeam) -> MissionTeam:
-    """The run of the page."""
+def run_with_host_failure(team: MissionTeam) -> None:
+    """Runs the mission; the computer of a hoe fails while the hoe pulls a weed, and restarts."""
     team.at(4.0, lambda: team.crash("north"))
     team.at(5.5, lambda: team.boot("north"))
     team.run(until_done=True)
-    return team
 
 
 def draw(team: MissionTeam) -> str:
-    """An SVG of hops, processed tuples, and events of hosts."""
+    """An SVG of hops, processed tuples, and failures of hosts."""
     parts = [text(8, y(host) + 4, host, "#222") for host in HOSTS]
     parts += [text(8, y(host_of(team, client)) + 18, client, colour) for client, colour in COLOURS.items()]
     parts += [f'<path d="M{LEFT} {y(h)}H{x(team.now):.1f}" stroke="#ddd"/>' for h in HOSTS]
     parts += [text(x(t), y("east") + 40, f"{t} s", "#888") for t in range(int(team.now) + 1)]
-    parts += [track(team, client) for client in COLOURS]
-    parts += [work(team, call) for call in team.calls if worked(call)]
+    parts += [carrier_path(team, client) for client in COLOURS]
+    parts += [tuple_box(team, call) for call in team.calls if has_processed_tuple(call)]
     for mark in team.marks:
         place = y(mark.text.split()[0])
         parts.append(f'<path d="M{x(mark.at) - 5:.1f} {place - 5}l10 10m0 -10l-10 10" stroke="#d00"/>')
@@ -56,8 +56,8 @@ def draw(team: MissionTeam) -> str:
     )
 
 
-def track(team: MissionTeam, client: str) -> str:
-    """The path of a carrier: on its client's host, or in the space in its own lane."""
+def carrier_path(team: MissionTeam, client: str) -> str:
+    """The hosts of a client's coordinator over time; at the space, each coordinator has its own lane."""
     lane = LANE * (list(COLOURS).index(client) - 1.5)
     path = ""
     for hop in (hop for hop in team.hops if hop.agent == f"{client}-carrier"):
@@ -66,13 +66,13 @@ def track(team: MissionTeam, client: str) -> str:
     return f'<path d="{path}" stroke="{COLOURS[client]}" fill="none" stroke-width="1.5"/>'
 
 
-def worked(call: RecordedCall) -> bool:
-    """Whether a client processed a tuple; a killed one has not ended."""
+def has_processed_tuple(call: RecordedCall) -> bool:
+    """Whether a client processed a tuple in this call, completely or until the failure of its host."""
     return call.portal == "reply" and (call.ended is None or call.ended > call.at)
 
 
-def work(team: MissionTeam, call: RecordedCall) -> str:
-    """A bar with the tuple in it."""
+def tuple_box(team: MissionTeam, call: RecordedCall) -> str:
+    """A box for the tuple that a client processes; dashed if its host fails."""
     place = y(host_of(team, call.resource))
     end = call.ended or next(mark.at for mark in team.marks if mark.at > call.at)
     dashed = "" if call.ended else ' stroke-dasharray="4"'
@@ -84,15 +84,15 @@ def work(team: MissionTeam, call: RecordedCall) -> str:
 
 
 def fields(tuple_: object) -> Iterator[str]:
-    """The fields of a tuple, without its first word if that is clear."""
+    """The fields of a tuple, without the leading name except for rows."""
     values = tuple_.values  # type: ignore[attr-defined]
     yield from values if values[0] == "row" else values[1:]
 
 
 def host_of(team: MissionTeam, agent: str) -> str:
-    """The host where an agent is deployed."""
-    whole = team.mission.team
-    return next(whole.hosts[member.host] for member in whole.members if member.id == agent)
+    """The host of an agent in the deployment."""
+    deployed = team.mission.team
+    return next(deployed.hosts[member.host] for member in deployed.members if member.id == agent)
 
 
 def x(seconds: float) -> float:
@@ -106,7 +106,7 @@ def y(host: str) -> float:
 
 
 def text(left: float, base: float, label: str, colour: str) -> str:
-    """Text, not bold."""
+    """A text at a point."""
     return f'<text x="{left:.1f}" y="{base:.1f}" fill="{colour}">{escape(label)}</text>'
 
 
