@@ -112,7 +112,7 @@ FOREIGN = {
 
 
 def needs_namespaces(report: pytest.TestReport) -> bool:
-    """Whether it is the report of a test that needs network namespaces, which few computers offer."""
+    """Whether the report is of a test that needs network namespaces, which few computers offer."""
     return report.nodeid.startswith(("tests/radio/", "tests/provision/"))
 
 

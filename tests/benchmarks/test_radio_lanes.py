@@ -31,7 +31,7 @@ class Air:
         """Any cell."""
 
     def reset(self):
-        """Nothing is kept."""
+        """Do nothing: the counts are fixed."""
 
     def counts(self):
         other = {Flow("h0", "h1", 6, 8181): Count(9, 9000)}

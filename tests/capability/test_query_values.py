@@ -73,7 +73,7 @@ def test_text_value_cannot_change_the_query(asked: str, colour: str) -> None:
 
 @given(st.text(max_size=40))
 def test_explained_query_has_its_values_as_literals(asked: str) -> None:
-    """It parses to the same condition, so quotes are escaped; other characters are unchanged."""
+    """The explained query parses to the same condition: quotes are escaped, other characters unchanged."""
     template = compile_template("colour == $t0", ATTRIBUTES)
     condition = bind(template, [asked]).condition
     assert condition is not None

@@ -174,7 +174,7 @@ def report(rounds: list[Round], folder: Path) -> int:
 
 
 def say_times(title: str, what: str, seconds: Sequence[float]) -> None:
-    """Their number and duration."""
+    """Print the number of durations, their median and their maximum."""
     if seconds:
         told = f"median {statistics.median(seconds):.2f} s, at most {max(seconds):.2f} s"
         print(f"{title} {len(seconds)} {what}: {told}")

@@ -1,6 +1,6 @@
-"""What proves who somebody is, and what they may: certificates, lists, signatures, handshakes, access files.
+"""Proofs of identity and rights: certificates, lists, signatures, handshakes, access files.
 
-Certificates and lists are signed again after they were changed: what only a member of the team could send.
+Changed certificates and lists are signed again: only a member of the team could send them.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def team() -> Made:
 
 
 def signature_of_a_bundle() -> bytes:
-    """What the person has signed: the same keys sign the same in the same way."""
+    """The signature of a person on a bundle; the same keys always give the same signature."""
     made = team()
     return sign_bundle(DIGEST, Keys("person", made.authority, made.person, made.person_key), NOT_BEFORE + 1.0)
 
@@ -150,7 +150,7 @@ def decode_pem(data: bytes) -> None:
 
 
 def decode_names(data: bytes) -> None:
-    """What OpenSSL says of a certificate."""
+    """Decode the fields of a certificate in the form in which OpenSSL returns them."""
     with suppress(msgspec.MsgspecError, ValueError, RecursionError):
         tree = unpack(data)
         if isinstance(tree, dict):

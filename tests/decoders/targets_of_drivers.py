@@ -1,4 +1,4 @@
-"""What devices say: packets and frames, alone, and from a device that lies while a driver works."""
+"""Data of devices: packets and frames, alone, and from a device that sends false data to a driver."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def vehicle(kind: str) -> MavlinkVehicle:
 
 @cache
 def manifest() -> Any:
-    """What the driver says of its vehicles."""
+    """The manifest of the MAVLink driver."""
     return MAVLINK.read_manifests()["Mavlink"]
 
 
@@ -118,13 +118,13 @@ def _plain(kind: int, size: int) -> bytes:
 
 
 class Liar:
-    """What comes from a device, and is not always what it said: four bytes of input for each packet."""
+    """The packets of a device, some of them changed: four bytes of input for each packet."""
 
     def __init__(self, data: bytes, seal: Callable[[bytes], bytes], first: int = 0) -> None:
         self._data, self._seal, self._count, self._first = data, seal, 0, first
 
     def told(self, packet: bytes) -> list[bytes]:
-        """What arrives for it."""
+        """The packets that arrive when the device sends `packet`."""
         at = 4 * self._count % max(4, len(self._data) - 3)
         self._count += 1
         rule = self._data[at : at + 4]

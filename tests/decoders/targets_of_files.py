@@ -1,4 +1,4 @@
-"""What is read from files that others have made or spoiled: bundles, programs, journals, dumps, and texts."""
+"""Files that others have written or damaged: bundles, programs, journals, dumps, and texts."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def decode_program(data: bytes) -> None:
 
 
 def decode_dump(data: bytes) -> None:
-    """What `lfield inspect` shows of an agent that died somewhere; the checksum is right."""
+    """Show the dump of a dead agent as `lfield inspect` does; the checksum is right."""
     try:
         record, program, block = dump_file.decode(_dump_head() + struct.pack("<I", zlib.crc32(data)) + data)
         view(block, program, record.members)
@@ -189,13 +189,13 @@ def _text(data: bytes) -> str:
 
 
 def shown(error: ProgramError) -> None:
-    """What is wrong is told with a caret."""
+    """Render each diagnostic of the error."""
     for finding in error.diagnostics:
         assert finding.render()
 
 
 def decode_question(data: bytes) -> None:
-    """What somebody asks of the registry."""
+    """Parse and compile a query to the registry."""
     registry = mission().registry
     assert registry is not None
     for ask in (

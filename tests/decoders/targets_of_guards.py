@@ -81,18 +81,18 @@ class Thing(Device):
         pass
 
     async def do_move(self, to: float) -> None:
-        """It takes its time."""
+        """Sleep for `to` seconds, or for 0.1 s if `to` is not between 0 and 5."""
         await asyncio.sleep(to if 0.0 < to < 5.0 else 0.1)
 
     async def do_halt(self) -> None:
-        """It stands."""
+        """Do nothing: the device halts at once."""
 
     async def do_steer(self, by: Sequence[float]) -> None:
-        """It turns."""
+        """Publish `by` as the quantity `all`."""
         self.publish(all=list(by))
 
     async def do_look(self) -> int:
-        """It sees."""
+        """Return a constant."""
         return 7
 
 
@@ -116,15 +116,15 @@ class Output:
         self.reader = messages.MessageReader()
 
     def write(self, data: bytes) -> None:
-        """What it says can be read."""
+        """Decode the messages of the guard."""
         list(self.reader.feed(data))
 
     def is_closing(self) -> bool:
-        """It is open."""
+        """Whether the pipe is closing: never."""
         return False
 
     def get_write_buffer_size(self) -> int:
-        """It is empty."""
+        """The number of unsent bytes: always 0."""
         return 0
 
 
@@ -132,10 +132,10 @@ class Free:
     """A lock that nobody else wants."""
 
     async def acquire(self, endpoint: str) -> None:
-        """It is taken."""
+        """Take the lock at once."""
 
     def release(self) -> None:
-        """It is free."""
+        """Release the lock."""
 
 
 async def on_a_loop(work: Coroutine[Any, Any, None]) -> None:
@@ -163,7 +163,7 @@ def frames(data: bytes) -> list[bytes]:
 
 
 def decode_in_guard(data: bytes) -> None:
-    """What a guard does with what its host says."""
+    """Feed messages of a host to a guard."""
 
     async def story() -> None:
         plugin: Any = SimpleNamespace(load=lambda: Bus, has_manifest=lambda file: True, reference="")
@@ -195,21 +195,21 @@ class Process:
         self.closed = False
 
     def get_pipe_transport(self, fd: int) -> Any:
-        """Its stdin."""
+        """The standard input of the process."""
         return SimpleNamespace(is_closing=lambda: False, write=lambda data: None)
 
     def get_pid(self) -> None:
-        """It has none."""
+        """The process id: None."""
 
     def get_returncode(self) -> None:
-        """It runs."""
+        """The exit status: None, as of a running process."""
 
     def close(self) -> None:
-        """It is over."""
+        """Do nothing: there is no real process."""
 
 
 def decode_in_host(data: bytes) -> None:
-    """What a host does with what a guard says."""
+    """Feed messages of a guard to a host."""
 
     async def story() -> None:
         notes: list[str] = []

@@ -1,4 +1,4 @@
-"""What comes in on a link: streams of frames, greetings, messages, transfers, and what they do to a host."""
+"""Data from a link: streams of frames, greetings, messages, transfers, and their effects on a host."""
 
 from __future__ import annotations
 
@@ -51,23 +51,23 @@ BRAVO = Identity("host", "bravo", NO_RIGHTS)
 
 
 class Nothing:
-    """What a host without devices may look at."""
+    """The observations that are available to a host without devices."""
 
     down_since: dict[str, float] = {}
 
     def last_contact_at(self, host: str) -> None:
-        """Nothing was heard."""
+        """Return None: no message was received."""
 
     def round_trip(self, host: str) -> None:
-        """Nothing was measured."""
+        """Return None: no round trip was measured."""
 
     answers_within = round_trip
 
     def last(self, device: str, quantity: str) -> None:
-        """There is no telemetry."""
+        """Return None: there is no telemetry."""
 
     def trouble(self, device: str) -> None:
-        """There is no device."""
+        """Return None: there is no device."""
 
 
 def host(name: str, clock: ManualClock, life: int) -> HostCore:
@@ -235,7 +235,7 @@ def decode_stream(data: bytes) -> None:
 
 
 def decode_events(data: bytes) -> None:
-    """What a peer that has greeted does to a host: a list of [what, value]."""
+    """Apply events of a linked peer to a host; the input is a list of [kind, value]."""
     try:
         events = unpack(data)
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -294,7 +294,7 @@ def happen(core: HostCore, clock: ManualClock, event: Any) -> None:
 
 
 def operator_messages(core: HostCore, value: Any) -> None:
-    """What an observer asks of the core."""
+    """Apply the request of an observer to the core."""
     message = codec.decode(codec.CONTROL, sealed(pack(value)))
     match type(message).__name__:
         case "ForgetRequest":
@@ -411,7 +411,7 @@ def _event_seeds() -> Sequence[bytes]:
 
 @cache
 def payloads() -> Mapping[int, Sequence[bytes]]:
-    """What a peer may send, by the kinds of frames that the wire lets through: every kind has to be here."""
+    """Payloads that a peer may send, by kind of frame: every kind that the wire accepts must be listed."""
     header, block = transfers()[0]
     controls = [codec.encode(example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
     hellos = [

@@ -1,4 +1,4 @@
-"""What reaches an operator: events and states on a terminal or page, files of other programs."""
+"""Data that reaches an operator: events and states on a terminal or page, files of other programs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _ESCAPES = ("\x1b[2J", "\x9b31m", "\u202e", "\r", "\x07", "[red]", "😀" * 50)
 
 
 def decode_statuses(data: bytes) -> None:
-    """What two hosts say that they run, as `lfield ps` shows it: nothing in it is for the terminal."""
+    """Show the reported states of hosts as `lfield ps` does; the text has no control characters."""
     try:
         tree = unpack(data)
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -72,7 +72,7 @@ def _statuses() -> Sequence[bytes]:
 
 
 def decode_batches(data: bytes) -> None:
-    """What two hosts tell in batches: into the picture, the time line, and all that is shown of them."""
+    """Feed event batches of two hosts to the team view and the time line, and show everything."""
     try:
         tree = unpack(data)
     except (msgspec.MsgspecError, ValueError, RecursionError):

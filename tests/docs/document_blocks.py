@@ -38,7 +38,7 @@ class Block:
 
     @property
     def place(self) -> str:
-        """Its place for messages."""
+        """The place of the block, for messages."""
         return f"{self.page}:{self.line}"
 
     @property

@@ -181,7 +181,7 @@ def test_missing_pyserial_names_the_extra(monkeypatch):
 
 
 async def test_each_reason_that_blocks_a_reopen_is_logged_once(far, monkeypatch):
-    """It returns under the same name, as in `/dev/serial/by-id`, but another program owns it."""
+    """The port returns under the same name, as in `/dev/serial/by-id`, but another program uses it."""
     monkeypatch.setattr("lfield.driver.serial.serial_port.REOPEN_INTERVAL", 0.01)
     line, rival = far.line(), far.line()
     line.open()

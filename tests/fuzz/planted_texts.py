@@ -44,7 +44,7 @@ class Fault:
 
     @property
     def broken(self) -> str:
-        """What is replaced, and where a program can show it."""
+        """A description of the fault: the replaced text, its place, and the programs that can show it."""
         place = self.function or self.place
         return f"`{self.wrong}` for `{self.right}` in `{place}`; programs with `{self.needs.strip()}`"
 
@@ -108,7 +108,7 @@ FAULTS = (
 
 @contextmanager
 def planted(fault: Fault) -> Iterator[None]:
-    """What is compiled meanwhile has the fault."""
+    """Plant the fault in all code that is compiled in this context."""
 
     def program(prepared: object) -> WasmModule:
         made = lower_program(prepared)

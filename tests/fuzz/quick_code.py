@@ -45,7 +45,7 @@ def _quick_compiler(reservation: int) -> wasmtime.Engine:
 
 @contextmanager
 def quick_code() -> Iterator[None]:
-    """What is compiled meanwhile is not optimised."""
+    """Compile without optimisation in this context."""
     with ExitStack() as stack:
         for module in (arena, machine_code):
             stack.enter_context(patch.object(module, "compiler", _quick_compiler))

@@ -34,18 +34,18 @@ THREE_HOSTS = "//Post:near@alpha\n//Post:far@bravo\n//Post:away@charlie\n//Walke
 
 
 def is_hop(link: MemoryLink, data: bytes) -> bool:
-    """Whether it is a hop of alpha to bravo."""
+    """Whether the frame is a hop from alpha to bravo."""
     return (link.machine, link.other.machine) == ("alpha", "bravo") and data[HEADER_SIZE - 1] == TRANSFER
 
 
 def is_delta(link: MemoryLink, data: bytes) -> bool:
-    """Whether it is such a hop as a delta."""
+    """Whether the frame is a hop from alpha to bravo that is sent as a delta."""
     here = link.machine, link.other.machine
     return here == ("alpha", "bravo") and data[HEADER_SIZE - 1] == TRANSFER_DELTA
 
 
 def is_answer(link: MemoryLink, data: bytes) -> bool:
-    """Whether it is bravo's answer to a hop: no other messages of this team are compressed."""
+    """Whether the frame is bravo's answer to a hop: no other messages of this team are compressed."""
     return (link.machine, link.other.machine) == ("bravo", "alpha") and data[HEADER_SIZE - 1] == COMPRESSED
 
 

@@ -247,7 +247,7 @@ async def test_the_result_is_written_before_the_journal_ends_the_run(team, /):
 
 
 async def test_the_loader_of_the_language_document_continues_after_a_restart(team, /):
-    """Its host is stopped during its call."""
+    """The host of the winch is stopped while the loader calls the winch."""
     text = (Path(__file__).parents[2] / "lfield/docs/language.md").read_text(encoding="utf-8")
     (program,) = (block for block in text.split("```") if block.startswith("java\nresource Winch"))
     program = program.removeprefix("java\n").replace("return out;", "sleep(9.0); return out;")

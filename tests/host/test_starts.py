@@ -106,7 +106,7 @@ async def test_a_start_that_needs_an_exited_host_is_not_made(team, /):
 
 @pytest.mark.parametrize("keeps", [False, True])
 async def test_a_start_that_waits_for_devices_elsewhere_is_known_to_its_home(team, /, keeps):
-    """Its home has lost its records, and it has run on no other host yet."""
+    """The home of the coordinator has lost its records; the coordinator has run on no other host yet."""
     mission = team.mission(PROGRAM, DEPLOYMENT)
     away, opened = team.make(mission, "away", keeps=keeps), asyncio.Event()
     _opens_later(away, opened)

@@ -139,7 +139,7 @@ class Caller:
     replays: bool = False
 
     def hello(self, role: Role, name: str = "") -> Hello:
-        """Its greeting: as a host it matches the called host; a command states no mission."""
+        """The greeting of the peer: as a host it matches the called host; a command states no mission."""
         if role == "observer":
             return Hello("observer", name or "observer", 99)
         return replace(

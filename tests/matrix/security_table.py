@@ -28,7 +28,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Its name in a list of cells."""
+        """The name of the cell in a list of cells."""
         return f"{self.way}-{self.who}-{self.what}"
 
 

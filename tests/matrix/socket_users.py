@@ -50,7 +50,7 @@ class User(msgspec.Struct, frozen=True):
 
     @property
     def groups(self) -> list[int]:
-        """Its other groups."""
+        """The supplementary groups of the user."""
         return [grp.getgrnam(peer_credentials.GROUP).gr_gid] if self.member else []
 
 

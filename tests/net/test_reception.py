@@ -106,7 +106,7 @@ class Caller:
 
 
 class TlsCaller(Caller):
-    """Its handshake is complete but for the last bytes, which go out with its first message."""
+    """A client whose handshake is complete but for the last bytes, which it sends with its first message."""
 
     def __init__(self, inn: HostBench, name: str, link: TlsLink, keys) -> None:
         super().__init__(inn, name, link, socket.AF_INET)

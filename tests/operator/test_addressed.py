@@ -235,7 +235,7 @@ def test_a_host_that_runs_here_twice_makes_two_teams():
 
 
 def test_a_file_that_another_user_names_is_not_opened(tmp_path):
-    """It may be a fifo, which blocks without end."""
+    """The file may be a FIFO, which would block without end."""
     fifo = tmp_path / "mission\x1b[31m.dL"
     os.mkfifo(fifo)
     false = claimed("tour-00000002", "alpha", file=str(fifo))

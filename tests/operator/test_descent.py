@@ -95,7 +95,7 @@ def test_telemetry_from_before_the_stop_does_not_count():
 
 
 def test_a_device_silent_before_the_stop_is_reported_with_its_last_telemetry():
-    """Its telemetry from before the stop proves no rest, and shows its last position."""
+    """Telemetry from before the stop does not prove rest, but it shows the last position of the device."""
     made = descent("its safe state was not confirmed in 5 s")
     look(made, 101.0, status("descends", silent=61.0))
     assert look(made, 110.0, status("descends", silent=70.0)) == []
@@ -104,7 +104,7 @@ def test_a_device_silent_before_the_stop_is_reported_with_its_last_telemetry():
 
 
 def test_a_device_in_use_is_not_at_rest():
-    """Its host was restarted, or another operator has lifted the stop and released it."""
+    """The host was restarted, or another operator has lifted the stop and released the device."""
     made = descent()
     assert look(made, 101.0, status(latched="")) == ["NOT in its safe state"]
     assert not made.is_over
@@ -150,7 +150,7 @@ def test_a_host_without_an_answer_is_asked_again():
 
 
 def test_a_host_confirmed_by_relay_is_not_waited_for_until_the_deadline():
-    """It has confirmed the safe state through another host, and no connection to it can be made."""
+    """The host has confirmed the safe state through another host, and no connection to it can be made."""
     made = SafeStateProgress(120.0, 100.0)
     made.on_stopped(ALPHA, EmergencyStopResult({"fc": ""}))
     made.on_stopped(BRAVO, EmergencyStopResult({"fc": ""}))

@@ -64,7 +64,7 @@ def test_all_keys_of_this_computer_are_checked(
 
 @pytest.mark.process
 def test_authority_without_verification_and_a_host_without_keys_do_not_load_cryptography() -> None:
-    """It costs 10 MB of memory and 50 ms of start-up time."""
+    """The cryptography package costs 10 MB of memory and 50 ms of start-up time."""
     authority = ("trusted_clock", "keystore", "identity", "peer_verification", "key_material")
     names = [*(f"lfield.authority.{name}" for name in authority), "lfield.host.process.host_process"]
     looked = f"""

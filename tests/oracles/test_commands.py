@@ -1,4 +1,4 @@
-"""What each command prints, its exit status included, is in `golden/COMMAND.txt`.
+"""The output and the exit status of each command are in `golden/COMMAND.txt`.
 
 `make oracles` writes these files anew; `git diff` then shows what a change has changed.
 """

@@ -1,4 +1,4 @@
-"""What commands for a running team print is in `golden/running team.txt`: they ask a simulated one."""
+"""The output of commands for a running team, which is simulated, is in `golden/running team.txt`."""
 
 from __future__ import annotations
 

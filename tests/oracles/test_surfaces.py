@@ -1,4 +1,4 @@
-"""What users and their scripts rely on beside printed lines: options, ids of the page, compiled programs."""
+"""Interfaces for users and scripts besides printed lines: options, ids of the page, compiled programs."""
 
 from __future__ import annotations
 

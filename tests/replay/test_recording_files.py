@@ -62,7 +62,7 @@ def both(parent, team, wall=1.8e9, **options):
 
 
 def result_of(capsys, *words) -> dict:
-    """What `lfield replay --json` prints."""
+    """The result that `lfield replay --json` prints."""
     status = main(["replay", "--json", *map(str, words)])
     found = json.loads(capsys.readouterr().out)
     assert "differences" in found, found

@@ -167,7 +167,7 @@ def _without_bravo(number: int = 1) -> Ballot:
 
 @pytest.mark.parametrize("state", ["runs", "stopped", "killed service"])
 async def test_coordinator_of_an_excluded_host_is_unaccounted_for(state: str) -> None:
-    """It has never been on this host, so only the deployment shows that it may exist."""
+    """The coordinator has never been on this host, so only the deployment shows that it may exist."""
     robot = await running()
     if state != "runs":
         await robot.command(MissionCommand("stop"))

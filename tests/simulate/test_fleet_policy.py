@@ -65,7 +65,7 @@ def latched(fleet: Fleet, host: str) -> dict[str, str]:
 
 
 def test_a_vehicle_waits_its_time_for_a_coordinator_that_died_two_hosts_away(mission: Mission) -> None:
-    """Its last known host, bravo, is well. No other vehicle has been used."""
+    """The intermediate host, bravo, is alive. No other vehicle has been used."""
     fleet = Fleet(mission, 1)
     on_its_way(fleet)
     fleet.crash("carol")

@@ -147,7 +147,7 @@ def when_it_is_acknowledged(team: Team, strike: Callable[[], None]) -> None:
 
 
 def when_it_comes_back(team: Team, strike: Callable[[], None]) -> None:
-    """It has moved on from there, and the transfer back is lost with all unanswered messages."""
+    """The coordinator returns from b; its transfer and all acknowledgements of b are lost."""
 
     def send(go: Callable[..., None], host: str, message: object) -> None:
         if not isinstance(message, TransferAccepted):

@@ -136,7 +136,7 @@ class Command:
 
     @property
     def output(self) -> str:
-        """Its output."""
+        """The output of the command until now."""
         return self._file.read_text(errors="replace")
 
     @property
@@ -145,7 +145,7 @@ class Command:
         return f"$ lfield {self.arguments}\n" + "\n".join(self.output.splitlines()[-MAX_LAST_LINES:])
 
     def prints(self, text: str, bound: float) -> bool:
-        """Whether it prints this within `bound` seconds, and before it ends."""
+        """Whether the command prints this within `bound` seconds, and before it ends."""
         end = time.monotonic() + bound
         while text not in self.output and time.monotonic() < end and self.process.poll() is None:
             time.sleep(0.1)
@@ -156,7 +156,7 @@ class Command:
         assert self.prints(text, bound), f"no output '{text}' within {bound:g} s\n{self.last_lines}"
 
     def wait(self, bound: float) -> int:
-        """Its exit status. Fails if it does not end."""
+        """Wait for the exit status of the command. Fails if it does not end within `bound` seconds."""
         try:
             return self.process.wait(bound)
         except subprocess.TimeoutExpired:

@@ -67,12 +67,12 @@ class Simulator:
 
     @property
     def system(self) -> int:
-        """Its MAVLink system id."""
+        """The MAVLink system id of the vehicle."""
         return self.instance + 1
 
     @property
     def is_running_elsewhere(self) -> bool:
-        """Whether it was started outside these tests."""
+        """Whether the simulator was started outside these tests."""
         return self.given.startswith(("tcp:", "udp:", "udpin:"))
 
     @property

@@ -416,7 +416,7 @@ def test_a_frame_with_one_flipped_bit_is_never_accepted(data):
 
 
 def test_a_damaged_oversize_transfer_is_not_reported():
-    """Its header would have been thrown at the program as LimitException."""
+    """A report would throw LimitException in the program because of the damaged header."""
     big = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5000)
     data, skipped = encode_transfer(big, bytes(5000)), []
     for flipped in flips(data):

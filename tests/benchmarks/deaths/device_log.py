@@ -1,4 +1,4 @@
-"""What a device wrote into its own log, and what that says of a death: when it was safe, when it stood."""
+"""The log that a device writes, and the verdict on a death: when the device was safe, and when it stood."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class DeviceLog:
 
 
 def judge(device: Device, start: Facts, changes: Sequence[Change], death: float) -> Verdict:
-    """What the changes since `start` say of a death at a time."""
+    """The verdict on a death at time `death`, from the changes since `start`."""
     before = {**start, **{change.name: change.value for change in changes if change.at <= death}}
     now, own = dict(before), False
     safe = death if device.safe(before, before) else None

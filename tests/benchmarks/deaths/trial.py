@@ -55,10 +55,10 @@ DEATHS = tuple(
 
 @dataclass
 class Outcome:
-    """What became of a trial.
+    """The outcome of a trial.
 
-    `why` it failed, '' when it did not; `starts` of hosts until death found the device moving, `before` what
-    those said that did not keep it moving; `lines` is what the device's log said after the death.
+    `why` it failed, '' if it did not; `starts` of hosts until the device moved at the death; `before`: the
+    output of hosts that did not keep it moving; `lines` of the device's log after the death.
     """
 
     device: str
@@ -169,7 +169,7 @@ class Trial:
         self.outcome.before.append(" | ".join(self._lines[-LAST_LINES:]))
 
     def _moves(self) -> bool:
-        """Whether it does as its program wants."""
+        """Whether the device moves as its program requires."""
         self._listen()
         now = self._subject.log.now
         moves = "moves" in self._lines and now["moving"] == "yes" and not self._subject.device.safe(now, now)
@@ -303,6 +303,6 @@ def _state(pid: int) -> str:
 
 
 def _born(pid: int) -> str:
-    """What tells a process from a later one of its id; '' when it has ended."""
+    """The start time of a process, which distinguishes processes with the same id; '' if it has ended."""
     fields = _stat(pid)
     return "" if not fields or fields[0] in "ZX" else fields[19]

@@ -129,7 +129,7 @@ def _missed(reports: KeptReports) -> float:
 
 
 class Observed:
-    """What another client of the bus receives."""
+    """The frames that another client of the bus receives."""
 
     def __init__(self) -> None:
         self.count = 0

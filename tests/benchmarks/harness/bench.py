@@ -25,7 +25,7 @@ SESSIONS = 3
 
 @dataclass
 class Bench:
-    """What is measured, and what has been so far; the rows are saved after every figure."""
+    """A run of `make bench`, with its rows so far; the rows are saved after every figure."""
 
     own: Checkout
     other: Checkout | None
@@ -38,7 +38,7 @@ class Bench:
 
     @property
     def about(self) -> dict[str, str]:
-        """What a reader must know of the rows."""
+        """Facts about the rows: the measured checkouts, and the version of Python."""
         against = {"against": self.other.commit} if self.other is not None else {}
         return {"checkout": self.own.commit, **against, "python": platform.python_version()}
 
@@ -69,7 +69,7 @@ class Bench:
         return rows_between(figure, self.own, self.other, SESSIONS, tick)
 
     def picture(self, pictured: Mapping[str, Pictured]) -> str:
-        """What has been measured so far, drawn. Raises ValueError if none of it can be."""
+        """A drawing of the rows so far. Raises ValueError if none of them can be drawn."""
         return draw(fields_of(self.kept, pictured), caption(self.about))
 
     def _keep(self, name: str, rows: Sequence[Row]) -> None:

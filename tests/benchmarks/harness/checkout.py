@@ -64,7 +64,7 @@ class Checkout:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What its processes run in: nothing that they keep is left behind, and no operator finds them."""
+        """Environment of the processes: files go to a temporary folder; no operator finds the hosts."""
         told = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         kept = ("PYTHONPYCACHEPREFIX", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")
         return told | dict.fromkeys(kept, _KEPT.name)

@@ -49,7 +49,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Figure:
-    """What `make bench` shows under one name.
+    """The contents of `make bench` under one name.
 
     `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender, a
     target by both, `contender: case`, too. `sizes` are those of cases, up to a colon, or of contenders; where
@@ -77,7 +77,7 @@ class Figure:
         return self.units.get(case) or self.units.get(name) or SECONDS
 
     def target(self, case: str, name: str) -> str:
-        """What a contender must keep to in a case."""
+        """The target of a contender in a case; '' if there is none."""
         found = (self.targets.get(key) for key in (f"{name}: {case}", case, name))
         return next(filter(None, found), "")
 
@@ -121,7 +121,7 @@ def _with_growths(figure: Figure, rows: Iterator[Row]) -> Iterator[Row]:
 
 
 def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
-    """What the medians of each round are to one another."""
+    """Rows with the ratios of two contenders: of their medians in each round."""
     for case in _cases(samples):
         shown = f"{case}: medians of each round"
         for who, whom, target in figure.ratios:

@@ -78,7 +78,7 @@ def caption(about: Mapping[str, str]) -> str:
 
 
 def fields_of(rows: Sequence[Mapping[str, Any]], pictured: Mapping[str, Pictured]) -> list[Field]:
-    """What can be drawn of saved rows."""
+    """The fields of the picture of saved rows."""
     found = []
     for name, chosen in pictured.items():
         of_figure = [row for row in rows if row["figure"] == name and _is_pictured(row, chosen)]

@@ -52,7 +52,7 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """The process id of the child."""
         return self._process.pid
 
     def line(self, patience: float = PATIENCE) -> str:
@@ -95,7 +95,7 @@ class Child:
         self._process.terminate()
 
     def ended(self, patience: float) -> bool:
-        """Whether it ends within so many seconds; what it says is read meanwhile, and thrown away."""
+        """Whether the child ends within `patience` seconds; its output is read meanwhile and discarded."""
         end = time.monotonic() + patience
         while self._process.poll() is None and time.monotonic() < end:
             self._read(0.02)

@@ -29,7 +29,7 @@ COLUMNS = {
 
 
 class Progress:
-    """What is measured now, gone when it is done. It has no thread, which would be measured too."""
+    """A line on the current measurement, erased at the end; no thread, which would be measured too."""
 
     def __init__(self, name: str) -> None:
         columns = SpinnerColumn(), TextColumn("{task.description}")

@@ -18,7 +18,7 @@ class Series(NamedTuple):
 
 
 def series(samples: Samples, sizes: Mapping[str, float]) -> list[Series]:
-    """What was measured at several sizes; these are of cases, up to a colon, or of contenders."""
+    """Series of samples at several sizes; `sizes` are of cases, up to a colon, or of contenders."""
     found: dict[tuple[str, str], dict[float, Sequence[Sequence[float]]]] = {}
     for name, of_contender in samples.items():
         for case, rounds in of_contender.items():

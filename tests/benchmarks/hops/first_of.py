@@ -1,4 +1,4 @@
-"""What the first of several costs and saves: N resources, each on a host of its own; one of them finds it.
+"""Costs and savings of the first of N calls: N resources search, each on its own host; one of them succeeds.
 
 The resource in the middle of the team needs a tenth of a second, the others half a second and find nothing.
 One after another the coordinator asks until one has found it. With futures it hops to begin each search, to

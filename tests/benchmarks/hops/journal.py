@@ -1,8 +1,8 @@
-"""What it costs to have a page on the disk: of a hop's two commits each is one of these.
+"""The cost of writing a page to the disk: a hop has two commits, and each of them writes one page.
 
-A page of the given size is written over again and again, as a coordinator's is; the loop waits for each
-commit here, which a host's never does. Of pages that are kept at once, one commit has all. For scale, the
-least that a disk can do: as many bytes are written over in a file, and synced.
+A page of the given size is overwritten repeatedly, like the page of a coordinator; the loop waits for each
+commit here, but never in a host. Pages that are stored at the same time share one commit. For comparison, the
+minimum work of a disk: as many bytes are overwritten in a file, and synced.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What a remote portal call is compared with: servers that give back the bytes they are given.
+"""Servers that a remote portal call is compared with: they return the bytes that they receive.
 
 `python rpc.py NAME KEYS` serves one of them on a free loopback port and prints the port; `CLIENTS[NAME]`
 connects to it. Each runs in its fastest common setting: no compression, no delay of small packets, bytes
-passed as they are. `KEYS` is a folder with those of a host, for whoever speaks TLS.
+passed as they are. `KEYS` is a folder with the keys of a host, for servers with TLS.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def connect_tcp(port: int, keys: Path) -> Echo:
 
 
 def serve_pyro5(keys: Path) -> None:
-    """Its multiplexing server, with the serializer that passes bytes unchanged."""
+    """Serve with Pyro5: its multiplexing server, and the serializer that passes bytes unchanged."""
     import Pyro5.api  # type: ignore[import-untyped]  # has no types
 
     Pyro5.config.SOCK_NODELAY, Pyro5.config.SERVERTYPE = True, "multiplex"

@@ -1,4 +1,4 @@
-"""What TLS costs a hop: the same hops with it and without, side by side; both hosts in this process."""
+"""The cost of TLS for a hop: the same hops with and without TLS, side by side; both hosts in this process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `together` costs and saves: N resources, each on a host of its own, work for a tenth of a second.
+"""Costs and savings of `together`: N resources, each on its own host, work for a tenth of a second.
 
 The coordinator starts on the last host. One after another it makes a hop to each that is elsewhere and stands
 while that works. Together it hops to begin each and to fetch from each, at most 2N, and the work takes as

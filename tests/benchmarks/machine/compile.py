@@ -1,4 +1,4 @@
-"""What the commands that compile take, from start to end.
+"""The run time of the commands that compile, from start to end.
 
 The programs: ten kernels; the stock resources of three drivers; and the same beside a registry of 100 more
 capability types, of which none or all are used.

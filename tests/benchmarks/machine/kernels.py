@@ -16,7 +16,7 @@ class Tree:
             self.right = Tree(depth - 1)
 
     def count(self) -> int:
-        """Its nodes."""
+        """The number of nodes."""
         if self.left is None or self.right is None:
             return 1
         return 1 + self.left.count() + self.right.count()
@@ -188,7 +188,7 @@ def exceptions(n: int) -> int:
 
 
 def checked(i: int) -> int:
-    """What an exception goes through."""
+    """Call `risky`; its exceptions pass through this function."""
     return risky(i) + 1
 
 
@@ -220,7 +220,7 @@ def dispatch(n: int) -> int:
 
 
 def queues(n: int) -> int:
-    """What is put in is taken out in its order."""
+    """Put numbers into a queue, and take them out in the same order."""
     queue = Queue()
     for i in range(50):
         queue.put(i)

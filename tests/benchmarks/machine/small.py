@@ -68,7 +68,7 @@ def started(checkout: Checkout, processes: Processes, words: Sequence[str]) -> t
 
 
 def processor_seconds(folder: Path) -> float:
-    """What all threads of a process have run, by its folder in /proc."""
+    """Processor time of all threads of a process; `folder` is its folder in /proc."""
     tasks = (folder / "task").glob("*/schedstat")
     return sum(int(task.read_text(encoding="ascii").split()[0]) for task in tasks) / 1e9
 

@@ -1,4 +1,4 @@
-"""What a recording costs: 60,000 events of two copters and of a coordinator that hops, in each format.
+"""The cost of exporting 60,000 events of two copters and of a coordinator that hops, in each format.
 
 Of ten events six are telemetry with 20 quantities, and four are those of a portal call with its hop.
 """

@@ -1,4 +1,4 @@
-"""What an editor waits for: an edit in a program of 5,000 lines, then the answer of `lfield lsp`.
+"""The time that an editor waits: an edit in a program of 5,000 lines, then the answer of `lfield lsp`.
 
 The program is the ten kernels, 21 times with other names. Each sample is one edit and its answer, through the
 pipes of the server process.

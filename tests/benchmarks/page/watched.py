@@ -1,4 +1,4 @@
-"""What the page of `lfield watch` costs the operator's computer, and how soon it shows a latch."""
+"""The cost of the page of `lfield watch` for the operator's computer, and its delay in showing a latch."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PAGE, _HOSTS = (str(Path(__file__).with_name(f"watched_{name}.py")) for name in
 
 
 class Browser:
-    """What a browser asks the server of a page, and when."""
+    """A client that sends the requests of a browser to the server of a page."""
 
     def __init__(self, link: str) -> None:
         address = urlsplit(link)

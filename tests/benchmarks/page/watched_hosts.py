@@ -74,7 +74,7 @@ class Host:
         self._link = None
 
     def telemetry(self) -> None:
-        """What its vehicle tells, and now and then where a coordinator stands; lost where nobody reads."""
+        """Send telemetry, and sometimes the place of a coordinator; nothing if the watcher lags."""
         if self._batches - self._seen >= WINDOW:
             return
         self._tell(self._measured())

@@ -40,7 +40,7 @@ def command(words: Sequence[str]) -> Press:
 
 
 def page(link: str) -> Press:
-    """What a browser sends when somebody presses a button."""
+    """The request that a browser sends when a person presses a button."""
     address = urlsplit(link)
     connection = http.client.HTTPConnection(address.netloc, timeout=60)
     connection.request("GET", f"{address.path}?{address.query}")

@@ -1,4 +1,4 @@
-"""What lfield is compared with on a poor radio: echoes over TCP, TLS, gRPC, Zenoh, QUIC and UDP.
+"""Protocols that lfield is compared with on a poor radio: echoes over TCP, TLS, gRPC, Zenoh, QUIC and UDP.
 
     radio_peers.py serve NAME ADDRESS KEYS                        prints "ready"
     radio_peers.py ask NAME ADDRESS KEYS SIZE PAUSE [fresh]       prints "echo = SECONDS" for each echo
@@ -146,7 +146,7 @@ class UdpClient:
         raise TimeoutError
 
     def close(self) -> None:
-        """Nothing stands."""
+        """Close the socket; there is no connection to close."""
         self._socket.close()
 
     def _measured(self, trip: float) -> None:
@@ -264,7 +264,7 @@ class QuicClient:
             raise OSError(str(error)) from error
 
     def rest(self, seconds: float) -> None:
-        """Its timers go on."""
+        """Wait; the timers of the connection continue."""
         self._runner.run(asyncio.sleep(seconds))
 
     def close(self) -> None:

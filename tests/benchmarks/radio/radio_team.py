@@ -56,7 +56,7 @@ class RadioTeam:
 
     @property
     def mission(self) -> list[str]:
-        """What a command needs to know: the bundle, and where the hosts are."""
+        """Arguments for a command: the bundle, and the addresses of the hosts."""
         addresses = {host: self.radio[host].address for host in self._prepared.hosts}
         maps = [word for host, at in addresses.items() for word in ("--map", f"{host}={at}:{PORT}")]
         return [str(self._prepared.bundle), *maps]

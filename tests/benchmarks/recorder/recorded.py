@@ -1,4 +1,4 @@
-"""What the flight recorder costs, with and without it in turns, and how fast its recordings are used."""
+"""The cost of the flight recorder, with and without it in turns, and the speed of using its recordings."""
 
 from __future__ import annotations
 

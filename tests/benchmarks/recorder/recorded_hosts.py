@@ -1,4 +1,4 @@
-"""What a recording costs real hosts: processor time, with that of their guards, and bytes of files."""
+"""The cost of a recording for real hosts: processor time, including their guards, and bytes of files."""
 
 from __future__ import annotations
 

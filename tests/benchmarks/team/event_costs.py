@@ -1,4 +1,4 @@
-"""What events cost, for the figure `events`: prints lines of JSON, each a case with its unit and its samples.
+"""The cost of events, for the figure `events`: prints lines of JSON, each a case with its unit and samples.
 
 Everything is measured in seconds of this processor, or counted; nothing is waited for.
 """

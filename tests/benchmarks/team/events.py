@@ -1,4 +1,4 @@
-"""What it costs a host to tell what happens: an event, and hops and portal calls while somebody watches."""
+"""The cost for a host of reporting events: one event, and hops and portal calls with an observer."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ coordinator Traveller {
 
 
 class Counted:
-    """What all hosts together send, and commit."""
+    """Counts of the messages, bytes and commits of all hosts together."""
 
     def __init__(self) -> None:
         self.messages: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""What a coordinator that other hosts may go on with costs: on its way, and at rest. Counted, not timed."""
+"""The cost of a coordinator that other hosts may continue: hopping, and at rest. Counted, not timed."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What 2,000 connections of strangers cost a host, all at once: memory, and how long a peer waits meanwhile.
+"""The cost of 2,000 simultaneous connections of strangers for a host: memory, and the delay of a peer.
 
-Each sends the first word of a TLS handshake and no more, or half of one, or bytes that are none.
+Each sends only the first message of a TLS handshake, or half of that message, or other bytes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ coordinator Guest { init(string[] arg) { while (true) findPost("near").greet(); 
 
 
 def first_word() -> bytes:
-    """What whoever calls begins a handshake with."""
+    """The first message of a client in a TLS handshake."""
     out, context = ssl.MemoryBIO(), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     with contextlib.suppress(ssl.SSLWantReadError):

@@ -1,4 +1,4 @@
-"""What a host tells the others while nothing happens, and what a simulation of the whole team costs."""
+"""The traffic of a host in an idle team, and the cost of a simulation of the whole team."""
 
 from __future__ import annotations
 

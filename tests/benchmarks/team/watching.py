@@ -32,10 +32,10 @@ class Reader:
             print("watching", flush=True)
 
     def on_unlinked(self, host: str, why: str) -> None:
-        """It is tried again."""
+        """Do nothing: the `EventFollower` connects again."""
 
     def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
-        """What happens is read, and that is all."""
+        """Discard the batch."""
 
 
 async def main(words: list[str]) -> None:

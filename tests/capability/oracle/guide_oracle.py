@@ -30,7 +30,7 @@ class Way:
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """Its position in the ranking."""
+        """The position of the result in the ranking."""
         return (self.cost, len(self.rules), self.rules, self.end)
 
     @property

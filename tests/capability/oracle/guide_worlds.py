@@ -61,7 +61,7 @@ class Asked:
 
     @property
     def text(self) -> str:
-        """Its text."""
+        """The question as text."""
         said = [] if self.condition is None else [written(self.condition)]
         if self.order:
             keys = (f"{written(tree)}{' desc' if descending else ''}" for tree, descending in self.order)

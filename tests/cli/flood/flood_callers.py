@@ -95,7 +95,7 @@ def linked(port: int, keys: TlsIdentity, hello: Hello) -> Caller:
 
 
 def greeting(port: int, keys: TlsIdentity, name: str) -> Hello:
-    """What a host of the same mission says of itself: as the host at the port does, under another name."""
+    """The Hello of another host of the same mission: that of the host at `port`, with the name `name`."""
     theirs = Caller(port, keys, Hello("observer", "observer", 0)).receive()
     memory = 77 if theirs.journal_id else 0
     return replace(theirs, host=name, incarnation=4711, coordinators=[], journal_id=memory)

@@ -155,7 +155,7 @@ def test_the_descent_is_shown_until_rest_and_devices_not_at_rest_are_named(lfiel
 
 @pytest.mark.few(0)
 def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
-    """Its program dies of the stop, and it ends as soon as its vehicle is down."""
+    """The stop ends the program, and the host ends as soon as its vehicle is on the ground."""
     program = """
     resource Copter {
         Mavlink fc;

@@ -122,7 +122,7 @@ def test_the_only_running_mission_is_queried_without_its_name(lfield, own, missi
 
 @pytest.mark.few(0)
 def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
-    """Its vehicles would fly without a way to stop them. The same holds for a host with keys."""
+    """No command could stop the vehicles of such a run. The same applies to a host with keys."""
     place = Path(own["XDG_RUNTIME_DIR"]) / "lfield"
     place.write_text("in the way\n")
     alone = lfield.mission(PROGRAM, "//Post:near@alpha\n", name="alone")

@@ -125,7 +125,7 @@ class Flight:
         assert self._lfield.status(told) == 0, told.said
 
     def is_down(self) -> None:
-        """It is on the ground now; the report that its motors are off may be a heartbeat late."""
+        """Assert that the copter is on the ground; the report of stopped motors may be one heartbeat late."""
         self.witness.catch_up()
         assert self.witness.height < 0.3
         self.landed()

@@ -48,7 +48,7 @@ class Team:
             assert [mode for _, mode in witness.modes][-1] == "LAND"
 
     def are_down(self) -> None:
-        """They stand on the ground now."""
+        """Assert that both copters are on the ground."""
         for witness in self.witnesses:
             witness.catch_up()
             assert witness.height < 0.3

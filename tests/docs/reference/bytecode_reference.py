@@ -67,7 +67,7 @@ def _line(row: Opcode) -> str:
 
 
 def _stack(row: Opcode) -> str:
-    """What a head takes from the parameter stack and gives back."""
+    """The arguments that an instruction takes from the parameter stack, and its result."""
     if row.argument_kinds is None:
         return ""
     if row.name in ("call", "pcall", "device"):

@@ -244,7 +244,7 @@ def test_joining_servo_with_the_same_id_is_named_and_motion_refused():
 @pytest.mark.parametrize("protocol", [0, 1, 2])
 @pytest.mark.parametrize("delay", [254, None])
 def test_joining_duplicate_stops_the_motion_and_is_named(protocol, ids, delay):
-    """Its answers come after those of the first, or damage them; the motion ends with an exception."""
+    """Answers of the duplicate follow those of the first servo, or damage them; the motion fails."""
     b = bench(protocol, *ids, limits={"speed": 2.0})
     if delay:
         b.servos[1].table.put("return_delay_time", 0)

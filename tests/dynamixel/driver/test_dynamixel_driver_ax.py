@@ -30,7 +30,7 @@ async def test_ax_servo_moves_to_its_goal(bench, servo, /):
 @pytest.mark.parametrize("instruction", ["moveTo", "setPosition"])
 @on_bench(ax, 4, limits={"speed": 0.5})
 async def test_first_motion_after_power_on_keeps_the_speed_limit(bench, servo, /, instruction):
-    """Its speed register is then 0, which means the maximum; goal and speed are sent in one packet."""
+    """After power-on, the speed register is 0: the maximum. Goal and speed are sent in one packet."""
     await call(servo, "torque", True)
     motion = asyncio.ensure_future(call(servo, instruction, 1.0))
     for _ in range(100):

@@ -96,6 +96,6 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
 
 
 def _bugs(desk: GoldenWorld) -> tuple[str, ...]:
-    """What an agent has died of that is neither L's nor the end of the trial."""
+    """First lines of the reports of agents that died of a bug in lfield; the end of the trial is no bug."""
     lines = [agent.report.splitlines()[0] for agent in desk.endings if agent.report]
     return tuple(line for line in lines if "bug in lfield" in line and TrialOver.__name__ not in line)

@@ -90,7 +90,7 @@ def edited(program: Program, edits: Sequence[Edit], accepted: int = 0) -> Progra
 
 
 def _verify(program: Program, edits: Sequence[Edit]) -> None:
-    """What these changes affect; a constant keeps its type."""
+    """Verify the parts of a program that these changes affect; a constant keeps its type."""
     check_constants(program.core)
     if any(isinstance(edit.value, MethodRecord) for edit in edits):
         check_methods(program.core)

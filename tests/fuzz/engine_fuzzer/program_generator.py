@@ -92,7 +92,7 @@ def _declared(body: list[ProgramPiece]) -> list[ProgramPiece]:
 
 
 def _orders(bodies: list[ProgramPiece]) -> ProgramPiece:
-    """What arrays are sorted by in these methods."""
+    """The order functions with which these methods sort arrays."""
     used = "".join(body.text() for body in bodies)
     return ProgramPiece("", [text for name, text in _ORDERS.items() if f".sort({name})" in used])
 

@@ -58,7 +58,7 @@ def _statements(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
 
 
 def _hoisted(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
-    """What is in a loop, a branch or a try, instead of that."""
+    """Replace a loop, a branch or a try with one of its bodies, if the program still shows the difference."""
     for block in list(program.blocks()):
         for at in reversed(range(len(block))):
             old = block[at]

@@ -95,7 +95,7 @@ async def test_forget_ends_a_coordinator_parked_for_another_program(team, /):
     ids=["no coordinator", "a resource of its name", "other coordinators"],
 )
 async def test_forget_ends_a_parked_coordinator_in_all_later_runs(team, /, others, next_start):
-    """Its own mission, when it is started again, is another run."""
+    """A new start of the coordinator's own mission is a new run."""
     first = team.mission(PROGRAM, DEPLOYMENT)
     home, away = await team.up(first, keeps=True)
     await team.until(lambda: away.output)

@@ -246,7 +246,7 @@ def test_a_forgotten_coordinator_loses_its_reservation(open_team):
 
 
 def test_a_recovered_coordinator_has_lost_its_reservation(open_team):
-    """It continues at its last call here, in the block: that call reports the loss."""
+    """The coordinator continues at its last call on bravo, in the block: that call reports the loss."""
     team = open_team(
         "reserve (b) { b.work(0.5); a.work(60.0); b.look(); }",
         "sleep(600.0);",

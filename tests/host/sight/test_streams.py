@@ -307,7 +307,7 @@ TestOneWatcher = OneWatcher.TestCase
 @settings(derandomize=True, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 3)), max_size=80))
 def test_a_reader_that_keeps_up_loses_no_event(steps):
-    """It reads one batch in each step, with no more events per step than the log of a host may have."""
+    """The reader reads a batch in each step; a step has no more events than the log of a host may have."""
     stream, up, read = small(400, 64 << 10), 0.0, []
     watcher = watched(stream, Subscribe(LIFE, 0, 20.0))
     for count, devices in steps:

@@ -220,7 +220,7 @@ async def test_failsafe_before_a_hold_does_not_block_later_velocities(b, fc, /, 
 
 @scenario("flown")
 async def test_failsafe_right_after_a_hold_takes_control(b, fc, /):
-    """Its text arrives in the time of late texts; the heartbeat shows that the failsafe is still active."""
+    """The failsafe text arrives when late texts are expected; the heartbeat shows an active failsafe."""
     await fc.execute("setVelocity", [0.5, 0.0, 0.0])
     await fc.execute("setMode", ["AUTO.LOITER"])
     await asyncio.sleep(0.3)

@@ -99,7 +99,7 @@ def test_late_packets_of_the_old_address_are_no_conflict():
 @pytest.mark.parametrize("first", [A, B])
 @pytest.mark.parametrize("has_id", [True, False])
 def test_another_vehicle_does_not_replace_a_silent_one(first, has_id):
-    """It sends beside the first or only after it; also for boards without an id."""
+    """The other vehicle sends while the first one does, or only after it; boards have an id or none."""
     s = Sources(1, LINKS[:1])
     mine, others = (SAME, version(uid2=b"abd")) if has_id else (version(), version())
     run(s, 5.0, A)

@@ -265,7 +265,7 @@ def test_old_target_on_the_ground_is_ignored():
 
 
 def course(*velocities, start=(0.0, 0.0, 0.0), step=0.1):
-    """Whether it leaves its course to GOAL, with each velocity for a second."""
+    """For each velocity, held for a second: whether the vehicle leaves its course to GOAL."""
     monitor, place, now = CourseMonitor(), start, 0.0
     monitor.start(GOAL)
     left = []

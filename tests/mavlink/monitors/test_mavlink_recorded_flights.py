@@ -99,7 +99,7 @@ def test_recorded_flight_termination_is_a_fall():
 
 
 def test_recorded_gps_loss_is_found_within_a_second():
-    """Its mode and sensor health did not change for another 7 s."""
+    """The mode and the sensor health of the vehicle did not change for another 7 s."""
     watched, fix_lost = Watched("ap-copter.gauntlet-a", *PATROL), None
     for event in watched.play():
         message = event.message

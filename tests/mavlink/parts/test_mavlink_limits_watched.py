@@ -60,7 +60,7 @@ def test_effective_correction_gets_its_time(speed, share):
 
 @given(st.floats(4.0, 12.0), st.integers(0, 5), st.floats(0.0, 3.0), st.floats(0.3, 5.0))
 def test_slowing_vehicle_is_not_helpless(speed, late, gains, slows):
-    """It may accelerate at first, and then slow down slowly."""
+    """The vehicle may accelerate at first, and then slow down slowly."""
     top = speed + gains * late * STEP
     gaining = [speed + gains * n * STEP for n in range(1, late + 1)]
     slowing = [max(top - slows * n * STEP, 2.0) for n in range(1, 200)]

@@ -115,7 +115,7 @@ SLOW = {
 @pytest.mark.few(1)
 @pytest.mark.parametrize("name", SLOW)
 def test_slow_rover_gets_time_for_its_detour(bench, name):
-    """Its detour is as long in metres as that of a fast rover, and takes longer."""
+    """The detour of a slow rover is as long in metres as that of a fast rover, and takes longer."""
     speed, (what, values) = SLOW[name]
     b = bench(kind="rover", limits={"speed": speed})
 

@@ -362,7 +362,7 @@ async def test_partly_flown_mission_is_not_resumed_on_the_ground(b, fc, /):
 
 @BOTH
 def test_return_is_checked_against_the_limits(bench, flavour):
-    """Its height, the rally points, and the mission along which PX4 may return."""
+    """The checks cover the height, the rally points, and the mission along which PX4 may return."""
     b = bench(flavour=flavour, limits={"radius": 50.0, "altitude": 30.0})
     parameters, px4 = b.autopilot.parameters, flavour == "px4"
 

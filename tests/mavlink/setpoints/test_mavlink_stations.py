@@ -152,7 +152,7 @@ async def test_pilot_mode_continues_without_the_station(b, fc, /):
 @pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
 @on_bench("bench", waivers=("device_watchdog",), given="flavour kind")
 async def test_restarted_guard_does_not_delay_the_failsafe(b, fc, /, flavour, kind):
-    """It sends heartbeats only after the safe state: its own start takes some time."""
+    """A restarted guard needs time to start, and sends heartbeats only after the safe state."""
     bound, mode = BOUNDS[flavour, kind], SAFE[flavour, kind]["land"]
 
     other = asyncio.create_task(beats(b, *QGC))

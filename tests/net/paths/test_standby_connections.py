@@ -1,4 +1,4 @@
-"""What a standby connection accepts: a Hello of a standby, keep-alives, and the Hello of a link."""
+"""Messages that a standby connection accepts: a Hello of a standby, keep-alives, and the Hello of a link."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Host(Process):
         return super().wait_for(pattern, self._count(since))
 
     def text(self, since: float = 0.0) -> str:
-        """Its lines without the stamps."""
+        """The printed lines after `since`, without the stamps."""
         return "\n".join(line for line in self.lines[self._count(since) :] if "stamped" not in line)
 
     def stamps(self) -> list[tuple[float, int]]:

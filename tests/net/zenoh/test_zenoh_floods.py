@@ -44,7 +44,7 @@ class FakeSession:
     publish_once = publish
 
     def forget(self, key) -> None:
-        """There is nothing to remove."""
+        """Do nothing."""
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ async def test_packets_of_unknown_streams_get_few_answers():
 
 
 def test_packets_that_wait_for_the_loop_are_limited_and_long_ones_dropped(runner):
-    """They arrive in a thread of Zenoh, which is not slowed down."""
+    """The packets arrive in a thread of Zenoh, which is not slowed down."""
 
     async def flood() -> tuple[int, int]:
         endpoint, session = endpoint_with_session()

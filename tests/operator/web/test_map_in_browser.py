@@ -153,7 +153,7 @@ class _TileServer(BaseHTTPRequestHandler):
         self.wfile.write(PICTURE)
 
     def log_message(self, *_):
-        """Nothing is printed."""
+        """Print nothing."""
 
 
 @pytest.mark.few(0)

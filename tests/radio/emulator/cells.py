@@ -41,7 +41,7 @@ class Cell:
     channel: Channel = field(default_factory=Channel)
 
     def as_json(self) -> dict[str, object]:
-        """Its fields, as sent to the router."""
+        """The fields of the radio, as sent to the router."""
         return asdict(self)
 
     @classmethod

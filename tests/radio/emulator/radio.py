@@ -77,7 +77,7 @@ class Robot:
 
     @property
     def addresses(self) -> list[str]:
-        """Its present addresses."""
+        """The present addresses of the robot."""
         return [self.address, *filter(None, [self.address_v6])]
 
     def line(self, command: Sequence[object]) -> list[str]:
@@ -175,7 +175,7 @@ class Radio:
         self.ask("mend")
 
     def counts(self) -> dict[Flow, Count]:
-        """What was sent since the start or the last `reset`."""
+        """Counts of the packets of each flow since the start or the last `reset`."""
         return {Flow(*row[:4]): Count(*row[4:]) for row in self.ask("counts")}
 
     def total(self, port: int | None = None) -> Count:

@@ -19,7 +19,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def missing() -> str:
-    """What this computer does not have for an emulated radio, as one sentence; "" when it has all."""
+    """The missing requirement for an emulated radio on this computer, as a sentence; "" if there is none."""
     if os.geteuid():
         return "the emulated radio needs root: start it with sudo"
     if not CLONE.exists():

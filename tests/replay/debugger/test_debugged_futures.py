@@ -103,6 +103,6 @@ def test_steps_stop_in_the_program_and_not_in_the_library(lifting):
     "text", ["bad.done()", "lifts[0].await() > 0.5", "!enough(1.0)", "lifts.length(1) == 2"]
 )
 def test_a_condition_that_calls_a_method_is_refused(lifting, text):
-    """It would never hold: only the program calls methods."""
+    """Only the program calls methods, so such a condition would never hold."""
     with pytest.raises(UsageError):
         Debugger(lifting).condition(text)

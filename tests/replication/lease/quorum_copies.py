@@ -27,7 +27,7 @@ class Inquire(NamedTuple):
 
 
 class TransferVerdict(NamedTuple):
-    """It has arrived, or it never will."""
+    """The verdict on a transfer: it has arrived (`accepted`), or it never will."""
 
     agent: str
     generation: int

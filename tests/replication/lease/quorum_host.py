@@ -241,7 +241,7 @@ class HostLife:
         self.write(agent, {("copy", agent): replace(copy, kept=True), **(pages or {})}, kept)
 
     def lives(self, agent: str) -> bool:
-        """Whether it runs here and is not fenced."""
+        """Whether the coordinator runs here and is not fenced."""
         copy = self.copies.get(agent)
         return copy is not None and copy.state == "RUN" and not self.core.is_fenced(agent, copy.generation)
 
@@ -266,7 +266,7 @@ class HostLife:
         return max(self._leased, self._here.get(agent, 0.0))
 
     def _has_unsettled_end(self, agent: str) -> bool:
-        """Whether it terminated here, and the lease of this host prevents a recovery."""
+        """Whether the coordinator terminated here, and the lease of this host prevents a recovery."""
         saved = self.checkpoint(agent)
         if saved is None or saved.is_final or self.core.is_fenced(agent, saved.position.generation):
             return False

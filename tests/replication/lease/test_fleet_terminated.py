@@ -155,7 +155,7 @@ def test_a_member_with_a_new_disk_learns_the_end_before_it_promises(tmp_path: Pa
 def test_an_end_is_sent_to_others_only_when_it_is_durable_at_its_host(
     tmp_path: Path, *, greets: bool
 ) -> None:
-    """They might store it as final, although boss would continue after a crash of b."""
+    """Other hosts might store the end as final, although boss would continue after a crash of b."""
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.9)
     fleet.disks["b"].sync = 60.0

@@ -90,7 +90,7 @@ def test_a_departure_to_an_ended_host_is_a_loss(records):
 
 @pytest.mark.parametrize("there", [[], [row("MOVED", 2, "alpha")]])
 def test_a_departure_to_a_host_without_the_copy_is_a_loss(there):
-    """That host was restarted: its memory began after the arrival."""
+    """The target host was restarted: its memory began after the arrival."""
     found = fate({"alpha": [row("MOVED", 3, "bravo")], "bravo": there})
     assert found == CoordinatorOutcome("tom", "lost", "it moved to bravo (transfer 3), which was restarted")
 

@@ -127,7 +127,7 @@ def test_a_later_start_ends_when_it_learns_of_the_earlier(b):
 
 
 def test_the_host_of_the_earlier_start_ends_the_later_one(b):
-    """Its own Hello may have been too early for the copy."""
+    """The Hello of b may have been sent before the copy arrived at b."""
     b.receive("a", transfer(1), b"block 1")
     c = Host("c")
     c.receive("a", transfer(1, generation=2), b"block 1")

@@ -156,7 +156,7 @@ def test_a_running_copy_cannot_be_recovered(left):
 
 
 def test_an_answer_before_the_copy_is_restored_is_requested_again():
-    """It was relayed, or sent before the restart; the machine cannot continue the copy yet."""
+    """The answer was relayed, or sent before the restart; the machine cannot continue the copy yet."""
     page = CoordinatorRecord(TOUR, 1, "PREPARED", 1, target="b", receiver_memory=1, block=b"block 1")
     mobility, refused = kept(page), TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, "it never arrived")
     mobility.on_linked(Hello("host", "b", 1, PROGRAM, PROGRAM, 1000, journal_id=1))

@@ -53,7 +53,7 @@ class Difference:
 
     @property
     def entry(self) -> str:
-        """Its entry in the table."""
+        """The entry of the difference in the table."""
         key = self.key.replace("*", "?")
         return f"{key} ({self.figures})" if self.figures else key
 

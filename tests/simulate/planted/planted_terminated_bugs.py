@@ -58,7 +58,7 @@ def a_termination_is_sent_before_it_is_on_disk(patch: Patch) -> None:
 
 
 def a_termination_is_stored_despite_a_promise(patch: Patch) -> None:
-    """It becomes final while the promised recovery begins, and its proposer is not informed."""
+    """The termination becomes final while the promised recovery begins, and the proposer is not informed."""
     patch.setattr(TerminationLog, "is_delayed", lambda self, ended, now: False)
     patch.setattr(TerminationLog, "all", property(lambda self: []))
 

@@ -95,7 +95,7 @@ def test_another_missing_host_prevents_no_start(team) -> None:
 
 
 def test_a_home_without_a_record_waits_for_the_reports_of_all_hosts(team) -> None:
-    """Its disk was replaced: the coordinator may be alive elsewhere."""
+    """The disk of the home was replaced: the coordinator may be alive on another host."""
     fleet = team(
         "sleep(12.0);" + attempt('start("patrol", 4.0);') + "sleep(8.0);" + attempt('start("patrol", 4.0);')
     )

@@ -251,7 +251,7 @@ class FaultInjector:
             self._after(fault.lasts, partial(self._start, fault.one))
 
     def _gone(self, fault: Fault) -> None:
-        """It never returns, if the others can continue without it."""
+        """Lose a host permanently, if the others can continue without it."""
         members, gone = self.fleet.mission.recovery.members, self.fleet.gone
         if len(gone) < (len(members) - 1) // 2 and fault.one not in gone:
             self._note(f"{fault.one} is permanently lost")
@@ -280,7 +280,7 @@ class FaultInjector:
         self._after(fault.lasts, process.loop.thaw)
 
     def _suspend(self, fault: Fault) -> None:
-        """Its monotonic clock is suspended, its time of day is not; nothing is received or sent."""
+        """Suspend the monotonic clock of a host, not its time of day; the host receives and sends nothing."""
         computer, clock = self.fleet.computers[fault.one], self.fleet.machines[fault.one].clock
         if clock.suspended or not self._runs(fault, "suspend"):
             return

@@ -54,7 +54,7 @@ def test_an_unreachable_host_loses_the_race(tmp_path: Path) -> None:
 
 
 def test_an_unreachable_host_does_not_delay_the_winner(tmp_path: Path) -> None:
-    """Its branch fails 10 s after its link was lost, and the coordinator does not wait for it again."""
+    """The call on bravo fails 10 s after the link was lost; the coordinator does not wait for it again."""
     team = Team(tmp_path, 60.0, 15.0, RACE)
     team.until("sets 2")
     team.cut("bravo", "carol")

@@ -232,7 +232,7 @@ def test_an_exception_out_of_together_is_limited_by_the_enclosing_block(tmp_path
 
 
 def test_a_copy_in_doubt_stays_and_the_exception_names_the_delay(tmp_path: Path) -> None:
-    """It has been sent when the links become silent: nothing is repeated, and nothing is undone."""
+    """The copy has been sent when the links become silent: nothing is repeated, and nothing is undone."""
     body = 'within (4.0) { findPost("two").work(2, 0.5); }'
     seconds, how = ends(
         tmp_path, body, {0.0: isolate("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}

@@ -127,7 +127,7 @@ def test_the_judge_finds_a_call_for_a_superseded_copy() -> None:
 def test_the_judge_finds_a_repeated_number_while_the_first_start_waits_elsewhere(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It has made no call, and the devices of its host are not open yet."""
+    """The first start has made no call, and the devices of its host are not open yet."""
     greeting = Mobility.handshake_states
     monkeypatch.setattr(Mobility, "handshake_states", lambda self, waiting: greeting(self))
     # A start waits until vehicles report that they are on the ground, so until devices are open.

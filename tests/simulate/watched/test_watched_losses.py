@@ -190,7 +190,7 @@ def test_a_coordinator_continues_from_the_journal_of_its_host(tmp_path: Path) ->
 
 
 def reads_all(watcher: EventWatcher) -> bool:
-    """Whether it has received every event."""
+    """Whether the watcher has received every event."""
     numbers = [event.number for event in watcher.states]
     return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 

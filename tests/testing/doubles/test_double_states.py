@@ -97,7 +97,7 @@ def test_a_restarted_host_has_no_call_inside(tmp_path: Path) -> None:
 
 
 class Climbs:
-    """It climbs by returning, and may report its battery."""
+    """A double that completes a climb at once, and may report its battery."""
 
     def climb(self, metres: float) -> float:
         return metres
@@ -155,7 +155,7 @@ def test_invalid_live_attributes_are_refused(tmp_path: Path, message: object, wo
 
 
 def test_a_double_is_offered_as_its_resource(tmp_path: Path) -> None:
-    """It has no devices that could fail. The examples' crane can Lift by itself, and is the best."""
+    """The double has no devices that could fail. The example's crane can Lift by itself, and ranks first."""
     lifted: list[float] = []
 
     class Crane:

@@ -264,7 +264,7 @@ print(near.add(7));
 
 
 def test_a_block_stored_at_a_local_call_continues_after_a_crash_with_an_exception() -> None:
-    """Its trail and its hops are unchanged: it has not left."""
+    """The trail and the hops of the coordinator are unchanged, because it has not left."""
     hosts = joined(RECOVERS, volatile=False)
     hosts.still()
     for source in (0, 1):

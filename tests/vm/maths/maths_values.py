@@ -49,7 +49,7 @@ def any_real(rng: random.Random) -> float:
 
 
 def arguments(name: str, count: int, seed: int) -> list[tuple[float, ...]]:
-    """That many arguments for a function; sometimes two reals are close to each other."""
+    """`count` tuples of random arguments for a function; in some, two reals are close to each other."""
     dice = random.Random(f"{name} {seed}")
     found = [tuple(any_real(dice) for _ in range(arity(name))) for _ in range(count)]
     if arity(name) == 1:

@@ -106,7 +106,7 @@ class Yard:
         self.machine.answer(agent, thread, None, 0, "motor")
 
     def refuse(self, message: str) -> None:
-        """It was cancelled."""
+        """Report that the device instruction that was asked for first was cancelled."""
         agent, thread = self.place.waiting.pop(0)
         self.machine.throw_builtin(agent, thread, "CancelledException", message, "motor")
 

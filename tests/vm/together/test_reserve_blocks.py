@@ -141,7 +141,7 @@ def test_a_recovered_one_is_told_and_gives_back_by_the_numbers_that_it_had() -> 
 
 
 def test_what_a_page_has_of_it_stands_before_what_it_does_behind_take() -> None:
-    """It came to r1 by a hop, so its page is of `take`; a portal that acts needs one of its own."""
+    """The coordinator hopped to r1, so its page is that of `take`; a portal that acts needs a new page."""
     joined = ReservingHosts(program("reserve (r[1]) { r[1].work(1.0); }"))
     asked = []
     joined.places[1].may_start_call = lambda agent, acts: asked.append(agent.is_persisted) or True  # type: ignore[method-assign]

@@ -188,7 +188,7 @@ def test_a_counter_that_no_host_counts_to_is_refused(word: int, value: int) -> N
 
 
 def test_a_block_of_the_version_before_goes_on() -> None:
-    """It has no clock and no tickets in its header: two words less before everything."""
+    """A block of version 2 has no clock and no tickets in its header, which is two words shorter."""
     target, image = images()[0]
     assert layout.TICKET not in kinds(image)
     earlier = in_version_2(image)

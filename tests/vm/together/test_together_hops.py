@@ -287,7 +287,7 @@ def test_a_restored_coordinator_that_only_fetches_goes_on() -> None:
 
 
 def test_whoever_is_recovered_is_told_first_also_where_it_leaves_or_its_time_is_over() -> None:
-    """What an earlier start did when it had left, or when its time was over, is not known."""
+    """The actions of an earlier start after it left the block, or after its time limit, are unknown."""
     caught = "catch (RestartException e) { print(e.message()); } catch (TimeLimitException e) { print(0); }"
     limited = "try { within (1.0) { " + ALL + " } } " + caught
     for body, until in ((LEAVES + caught, 1.2), (limited, 0.9)):

@@ -1,4 +1,4 @@
-"""What a report says of an exception that went through a `together` or a `finally`: every line once."""
+"""Reports of an exception that went through a `together` or a `finally`: every line appears once."""
 
 from __future__ import annotations
 

@@ -60,8 +60,8 @@ coordinator Boss {
 
 
 def travelled(seed: int, packet: int) -> tuple[list[str], int, int, int]:
-    """What a wanderer prints, its hops, those of them uncollected and the largest block, with this bound for
-    what is not collected.
+    """The printed lines, the hops, those without a collection, and the largest block in bytes; blocks of
+    up to `packet` words are not collected.
     """
     joined = JoinedHosts(compile_text(WANDERER.replace("SEED", str(seed))), 3)
     largest, left, same = 0, 0, 0

@@ -149,7 +149,7 @@ def test_regions_freed_by_the_collector_meanwhile_are_not_lost(monkeypatch: pyte
 
 @pytest.mark.few(0)
 def test_a_block_grows_to_a_gibibyte_in_the_arena() -> None:
-    """It is doubled repeatedly, each time with its copy beside it."""
+    """The block is doubled repeatedly, each time with its copy beside it."""
     arena = Arena()
     block = arena.allocate(1 << 20)
     for size in [1 << n for n in range(21, 31)]:

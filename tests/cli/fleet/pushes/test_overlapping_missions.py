@@ -35,7 +35,7 @@ def test_a_rollback_names_for_each_robot_the_command_to_its_previous_bundle(lfie
 
 @pytest.mark.few(0)
 def test_a_rollback_names_a_push_for_a_mission_with_another_robot(lfield, here, robots) -> None:
-    """Its bundle is not the previous one there."""
+    """The previous bundles of alpha and bravo differ."""
     team = robots("alpha", "bravo")
     team.up()
     alone = "//Walker:tom@alpha?post\n//Post:post@alpha\n"

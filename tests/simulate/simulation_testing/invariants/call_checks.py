@@ -72,7 +72,7 @@ class CallChecks:
         return any(call.starts for who in lives for call in self._calls[who].values())
 
     def on_resumed_from_disk(self, agent: str) -> None:
-        """It continues from a disk, and may have lost the failures of calls that were reported to it."""
+        """A coordinator continues from a disk; the failures of calls that were reported to it may be lost."""
         for who in self._lives[agent]:
             for call in self._calls[who].values():
                 if call.outcome == "failed":

@@ -69,13 +69,13 @@ class OrderChecks:
     # --- lives of hosts -------------------------------------------------------------------------------
 
     def on_host_start(self, host: str) -> None:
-        """Its process begins."""
+        """The process of a host begins."""
         volatile = [key for key, held in self._held.items() if key[1] == host and held.volatile]
         for key in volatile:
             del self._held[key]
 
     def on_disk_lost(self, host: str) -> None:
-        """It has a new disk without records."""
+        """A host has a new disk without records."""
         self._held = {key: held for key, held in self._held.items() if key[1] != host}
         self._given_up = {key: start for key, start in self._given_up.items() if key[0] != host}
 

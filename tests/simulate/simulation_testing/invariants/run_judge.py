@@ -189,7 +189,7 @@ class RunJudge:
         self._kept.add((life, (agent.id, agent.generation)))
 
     def _continues_from_disk(self, life: HostLife, start: Start) -> None:
-        """It may have lost the failures of calls that were reported to it."""
+        """A restored start continues: the failures of calls that were reported to it may be lost."""
         if (life, start) not in self._kept:
             return
         self._kept.discard((life, start))
@@ -349,7 +349,7 @@ class RunJudge:
     # --- after the faults -------------------------------------------------------------------------------
 
     def on_settled(self) -> None:
-        """There were no faults for so long that every host must be reached."""
+        """The faults have been over for so long that every host must be reached."""
         self._calls.settled = not self.fleet.gone
 
     def on_healed(self) -> None:

@@ -163,7 +163,7 @@ class Scenario:
 
     @property
     def mission(self) -> Mission:
-        """Its mission; scenarios of one shape share it."""
+        """The mission of the scenario; scenarios with equal mission parameters share it."""
         words = [str(self.calls), str(self.stay), str(self.stays)]
         if self.interval:
             words.append(f"{self.interval:g}")
