@@ -70,6 +70,15 @@ def test_webassembly_engine_shows_no_difference() -> None:
     assert [report for seed in range(8) for report in fuzz.seed(seed)] == []
 
 
+def test_a_trial_ends_before_its_clock_exceeds_64_bits() -> None:
+    text = """
+resource Sleeper { init(string[] arg) { } loop beat at 1.0 { sleep(1.0e10); } }
+// deploy: Sleeper:s
+"""
+    outcome = run_trial(compiled(text), text, 1, Wasm)
+    assert (outcome.differences, outcome.instructions > 20) == ((), True)
+
+
 # 2,000 examples take three minutes on an idle machine, and hypothesis shrinks for up to five.
 @pytest.mark.timeout(1200)
 def test_engines_agree_on_programs_of_hypothesis(pytestconfig: pytest.Config) -> None:

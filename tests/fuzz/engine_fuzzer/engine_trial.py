@@ -22,6 +22,8 @@ from lfield.vm.machine import Machine
 
 #: Instructions that one trial does at most, and rounds of the machine.
 LONGEST, ROUNDS = 10_000, 150
+#: The latest time of the virtual clock, in s: engines count nanoseconds in 64 bits, which is 292 years.
+LATEST = 9e9
 #: The comment of a program that is not about limits.
 ENOUGH_HEAP = "// room: enough"
 #: The registry of programs with queries, which name it in a comment.
@@ -90,6 +92,8 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
     for _ in range(ROUNDS):
         pause = machine.run()
         if pause is None or made[0].done >= LONGEST or made[0].differences:
+            break
+        if clock.now + pause > LATEST:
             break
         clock.advance(pause)
     return TrialOutcome(tuple(made[0].differences) or _bugs(desk), made[0].done, made[0].exits)
