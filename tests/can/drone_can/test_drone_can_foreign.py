@@ -35,9 +35,9 @@ def test_foreign_client_allocates_ids_reads_and_commands_simulated_nodes():
     with running_fake("can", "--listen", "slcan-pty", *words) as fake:
         port = fake.endpoint.removesuffix("@115200")
         node = dronecan.make_node(port, node_id=126, bitrate=1_000_000)
+        monitor = dronecan.app.node_monitor.NodeMonitor(node)
+        allocator = dronecan.app.dynamic_node_id.CentralizedServer(node, monitor)
         try:
-            monitor = dronecan.app.node_monitor.NodeMonitor(node)
-            allocator = dronecan.app.dynamic_node_id.CentralizedServer(node, monitor)
             found = {}
             for kind in (
                 uavcan.equipment.actuator.Status,
@@ -74,6 +74,8 @@ def test_foreign_client_allocates_ids_reads_and_commands_simulated_nodes():
             assert battery.transfer.source_node_id == 40
             assert str(battery.message.model_name) == "lfield pack"
         finally:
+            # The allocator keeps its table in a SQLite connection.
+            allocator.close()
             node.close()
 
 
