@@ -36,7 +36,7 @@ KILLS = (
     ("the scout is at (4, 2)", 0.8, "sky", "the copter flies back, and the coordinator is with it"),
     ("the truck is there", 1.5, "ground", "the hook goes down; this is also the coordinator's home"),
 )
-#: Seconds from the kill of a host until its restart.
+#: Seconds from the kill of a host until its restart: the time of real processes, so the script sleeps.
 RESTART_DELAY = 1.0
 
 

@@ -114,8 +114,8 @@ class CallProgress:
     def _departs_in_time(self, agent: Agent, thread: int, state: int) -> bool:
         """As `departs_for`, but after the time limit only to hosts that are reachable at once.
 
-        Heartbeats are requested from all hosts at the same time, so silent hosts cause only one delay,
-        whatever their number.
+        Heartbeats are requested from all hosts at the same time, so any number of silent hosts causes only
+        one delay.
         """
         signs = self._scheduler.hooks.liveness
         if signs is None or not self._deadlines.is_block_expired(agent):

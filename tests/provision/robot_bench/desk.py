@@ -30,7 +30,8 @@ NAMES = (
 _SETTINGS = ("XDG_C", "XDG_D", "XDG_S", "LFIELD_")
 LFIELD = Path(sys.executable).with_name("lfield")
 PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
-#: Not that of the environment of the tests. typeshed does not declare the attribute, which venv uses too.
+#: The Python from which the environment of the tests was made. typeshed does not declare the attribute,
+#: which venv uses too.
 BASE_PYTHON = Path(sys._base_executable).resolve()  # type: ignore[attr-defined]
 
 
