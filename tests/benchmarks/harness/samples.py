@@ -16,7 +16,7 @@ from harness.processes import ChildError
 Contender = Callable[[], Mapping[str, Iterable[float]]]
 #: Samples of each round, by contender and case.
 Samples = dict[str, dict[str, list[list[float]]]]
-#: Is told what goes on.
+#: Receives the progress of a measurement, as text.
 Tick = Callable[[str], None]
 
 

@@ -52,7 +52,7 @@ class Progress:
         self._bar.console.print(Text("   ".join(filter(None, _cells(row))), style="dim"), soft_wrap=True)
 
     def tick(self, text: str) -> None:
-        """Say what goes on."""
+        """Show the progress of a measurement."""
         self._bar.update(self._task, description=f"{self._name}: {text}", refresh=True)
 
 
