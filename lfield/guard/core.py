@@ -110,22 +110,22 @@ class GuardCore:
         if len(call.arguments) != len(instruction.parameters):
             count = len(instruction.parameters)
             return [*effects, Notify(call.refusal(f"{call.instruction}() takes {count} arguments"))]
-        asks = call_kind(instruction) == "ask"
-        if device.latched and not asks:
+        kind = call_kind(instruction)
+        if device.latched and kind != "ask":
             first = LIFT_FIRST if device.lock_reason else "call release() first"
             held = f"held in its safe state: {device.lock_reason or device.latched}; {first}"
             return [*effects, Notify(call.refusal(held))]
         if late := self._expiry_reason(call):
             return [*effects, Notify(call.refusal(late))]
-        if asks:
+        if kind == "ask":
             return effects + self._start_query(device, call)
         stopped = self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
-        device.start(instruction.channel, RunningCall(call, replaces_call=bool(stopped)))
+        device.start(instruction.channel, RunningCall(call, kind, replaces_call=bool(stopped)))
         return [*effects, *stopped, Execute(call)]
 
     def mark_started(self, call: GuardCall) -> str:
         """The reason why the driver must not start an accepted call any more; '' when the call starts now."""
-        if (running := self._running(call.token)) is not None:
+        if (running := self._devices[call.device].running(call.token)) is not None:
             running.mark_started()
         return self._expiry_reason(call)
 
@@ -149,7 +149,8 @@ class GuardCore:
             return [*effects, Notify(running.cancelled_answer())]
         now = self._clock.monotonic()
         end = GuardCall(-token, device.name, instruction.cancel, [], now, math.inf)
-        device.active[instruction.channel] = RunningCall(end, running.call, deadline=now + device.rest_within)
+        kind, deadline = call_kind(device.instruction_of(end)), now + device.rest_within
+        device.active[instruction.channel] = RunningCall(end, kind, running.call, deadline=deadline)
         return [*effects, Execute(end)]
 
     def on_finished(self, token: int, value: DeviceValue) -> list[Effect]:
@@ -161,10 +162,9 @@ class GuardCore:
         call = running.call
         device = self._devices[call.device]
         instruction = device.instruction_of(call)
-        how = call_kind(instruction)
-        if how == "setpoint":
+        if running.kind == "setpoint":
             device.setpoints[instruction.channel] = self._clock.monotonic() + device.ttl
-        elif how == "act":
+        elif running.kind == "act":
             device.setpoints.pop(instruction.channel, None)
         return [*effects, Notify(running.done_answer(value))]
 
@@ -270,7 +270,8 @@ class GuardCore:
             if device.retry_at is not None and now >= device.retry_at:
                 device.set_retry(None)
                 effects.append(_make_safe(device))
-        effects += self._mute(now)
+        if silent and not self._muted and now >= self._mute_at():
+            effects.append(self._set_muted(True))
         if self._ended:
             return effects
         effects += [CheckRest(name) for name in self._rest.due_checks(now)]
@@ -311,11 +312,6 @@ class GuardCore:
             return max(self._silent_at, self._rest.under_way_until())
         return self._silent_at + MUTE_AFTER
 
-    def _mute(self, now: float) -> list[Effect]:
-        if self._muted or now < self._mute_at():
-            return []
-        return [self._set_muted(True)]
-
     def _set_muted(self, on: bool) -> Mute:
         self._muted = on
         self._rest.on_muted(on)
@@ -336,7 +332,7 @@ class GuardCore:
                 effects += [*([Abandon(device.name)] if device.making else []), Notify(Released(device.name))]
                 device.release()
                 self._rest.on_latched_or_free(device.name)
-        device.queries[call.token] = RunningCall(call)
+        device.queries[call.token] = RunningCall(call, "ask")
         return [*effects, Execute(call)]
 
     def _latch_all(self, reason: str) -> list[Effect]:

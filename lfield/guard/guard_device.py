@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec import Struct, field
 
 from lfield.guard.messages import GuardCall
-from lfield.guard.running_call import RunningCall, call_kind
+from lfield.guard.running_call import RunningCall
 from lfield.guard.standstill import StandstillState
 from lfield.manifest import DeviceManifest, Instruction
 
@@ -94,9 +94,8 @@ class GuardDevice(Struct):
         if self.latched or not (self.setpoints or self.active):
             return None
         times = [until for channel, until in self.setpoints.items() if channel not in self.active]
-        calls = [running.call for running in self.active.values()]
         times += [
-            call.sent + self.ttl for call in calls if call_kind(self.instruction_of(call)) == "setpoint"
+            running.call.sent + self.ttl for running in self.active.values() if running.kind == "setpoint"
         ]
         return min(times, default=None)
 
