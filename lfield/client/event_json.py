@@ -18,7 +18,7 @@ def event_data(item: DatedEvent | FeedNotice) -> dict[str, Any]:
     NaN and infinities are null. A notice becomes an object of the kind 'lost'.
     """
     if isinstance(item, FeedNotice):
-        return {"host": item.host, "kind": "lost", "lost": item.lost}
+        return {"host": item.host, "kind": "lost", "lost": item.lost, "reason": item.text}
     cause = None if item.cause is None else item.cause._asdict()
     return {
         "host": item.host,

@@ -131,9 +131,10 @@ class TeamFeed:
         return host in self._initial_latest and self._received[host] >= self._initial_latest[host]
 
     @property
-    def unreached(self) -> Sequence[str]:
-        """The hosts whose stored events were not received completely."""
-        return [name for host, name in self._names.items() if not self._is_caught_up(host)]
+    def unreached(self) -> Mapping[str, str]:
+        """The hosts whose stored events were not received completely, each with the reason."""
+        missed = [host for host in self._names if not self._is_caught_up(host)]
+        return {self._names[host]: self._why.get(host, "it has not sent all events") for host in missed}
 
     def drain_items(self, *, everything: bool = False) -> list[DatedEvent | FeedNotice]:
         """The items that are due now; with `everything` all."""
@@ -191,9 +192,9 @@ class EventFeed:
             await asyncio.sleep(POLL_INTERVAL)
 
     @property
-    def unreached(self) -> Sequence[str]:
-        """The hosts whose stored events were not received completely."""
-        return [host for part in self._feeds for host in part.unreached]
+    def unreached(self) -> Mapping[str, str]:
+        """The hosts whose stored events were not received completely, each with the reason."""
+        return {host: why for part in self._feeds for host, why in part.unreached.items()}
 
 
 async def log_backlog(

@@ -73,7 +73,7 @@ def test_nan_and_infinity_are_null_in_json() -> None:
 
 def test_lost_events_are_a_json_object() -> None:
     told = json.loads(event_json(FeedNotice("alpha", "events were lost", {"state": 2})))
-    assert told == {"host": "alpha", "kind": "lost", "lost": {"state": 2}}
+    assert told == {"host": "alpha", "kind": "lost", "lost": {"state": 2}, "reason": "events were lost"}
     uncounted = json.loads(event_json(FeedNotice("alpha", "telemetry was lost", {"telemetry": None})))
     assert uncounted["lost"] == {"telemetry": None}
 

@@ -98,7 +98,7 @@ def test_feed_is_complete_when_each_host_has_sent_all_or_is_unreachable() -> Non
     assert not desk.ears.is_complete
     desk.ears.on_batch("alpha", second, None)
     assert desk.ears.is_complete
-    assert desk.ears.unreached == ["run-1/beta"]
+    assert desk.ears.unreached == {"run-1/beta": "no program listens"}
 
 
 def test_a_host_that_ends_before_it_has_sent_all_is_named() -> None:
@@ -108,4 +108,5 @@ def test_a_host_that_ends_before_it_has_sent_all_is_named() -> None:
     for host in ("alpha", "beta"):
         desk.ears.on_unlinked(host, "the connection was lost")
     assert desk.ears.is_complete
-    assert desk.ears.unreached == ["run-1/alpha", "run-1/beta"]
+    lost = "the connection was lost"
+    assert desk.ears.unreached == {"run-1/alpha": lost, "run-1/beta": lost}
