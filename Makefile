@@ -1,8 +1,8 @@
 # Two commands do everything on a fresh machine with Python 3.11 or later:
 #   make demo   install into .venv and fly two simulated copters
 #   make test   install and pass the tests
-# make test-more takes every case of the tests too of which a run takes a few, and the longest stories
-# make test-sitl ARDUCOPTER=... PX4=... tries it on simulators of real autopilots
+#   make test-more   all cases of all tests, including those that `make test` samples or leaves out
+#   make test-sitl ARDUCOPTER=... PX4=...   the tests that need simulators of real autopilots
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,15 +12,15 @@ BIN := $(VENV)/bin
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
 
-# Printed last if there is no browser for the tests of the page of `lfield watch`.
+# Printed last if the browser for the tests of the page of `lfield watch` is missing.
 NO_BROWSER = command -v chromium >/dev/null && command -v chromedriver >/dev/null || \
 	echo "NOT TESTED: the page of lfield watch in a browser; sudo apt-get install chromium chromium-driver"
 
 LINT = $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports && $(BIN)/mypy
 
 # Lint and types run in parallel with the tests and are printed after them; each can fail the target. A background job does
-# not receive Ctrl-C, so the trap ends it. The first run fills the byte-code caches once, before the workers start, which
-# would each compile everything.
+# not receive Ctrl-C, so the trap ends it. The first run compiles all modules to byte code once; otherwise each worker
+# would compile them.
 test: $(VENV)/.tested
 	@setsid sh -c '$(LINT)' >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	trap 'kill -- -$$lint 2>/dev/null; exit 130' INT TERM; \
@@ -32,8 +32,8 @@ test: $(VENV)/.tested
 test-more: $(VENV)/.tested
 	$(BIN)/pytest --every-case
 
-# lfield on real autopilots (sim-adapters/REAL.md): each is the path of a simulator's build, with options behind it if
-# need be, or the ENDPOINT[,SECOND] of one that runs already. ONLY=limits,kit tries these checks.
+# lfield on real autopilots (sim-adapters/REAL.md): each variable is the path of a simulator's executable, optionally
+# followed by its options, or the ENDPOINT[,SECOND] of a running simulator. ONLY=limits,kit selects checks.
 ARDUCOPTER ?=
 ARDUROVER ?=
 PX4 ?=
@@ -45,8 +45,8 @@ else
 		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl/test_sitl.py
 endif
 
-# Whole teams on simulated computers: scenarios drawn from seeds and checked from outside; then the bugs that are planted
-# in them. make simulate FIRST=10000 has other scenarios.
+# Whole teams on simulated computers: random scenarios from seeds, checked by invariants; then planted bugs that the
+# simulation must find. make simulate FIRST=10000 uses other seeds.
 SEEDS ?= 10000
 FIRST ?= 0
 simulate: $(VENV)/.tested
@@ -54,15 +54,15 @@ simulate: $(VENV)/.tested
 	$(BIN)/python tests/simulate/simulate.py --pushes --seeds $(SEEDS) --first $(FIRST)
 	$(BIN)/python tests/planted/catalogue.py --run tests/simulate
 
-# Real processes that are killed, stopped, cut off and out of disk space, for SECONDS. Disks that are full are mounted in a
-# namespace of this command's own, where the system allows it.
+# Real processes that are killed, stopped, disconnected and out of disk space, for SECONDS. Full disks are mounted in a
+# separate mount namespace, where the system allows this.
 SECONDS ?= 120
 SEED ?= 1
 chaos: $(VENV)/.tested
 	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED) \
 		$(if $(filter zenoh,$(OVER)),--zenoh)
 
-# What a refactoring must not change (tests/oracles), written anew: `git diff tests/oracles` shows what did change.
+# Rewrites the golden files that a refactoring must not change (tests/oracles); `git diff tests/oracles` shows changes.
 oracles: $(VENV)/.tested
 	$(BIN)/python tests/simulate/simulate.py --seeds 2000 --outcomes tests/oracles/outcomes.txt
 	$(BIN)/pytest -n 0 --every-case --rewrite --ignore tests/oracles/test_outcomes.py tests/oracles
@@ -70,25 +70,25 @@ oracles: $(VENV)/.tested
 lint: $(VENV)/.tested
 	$(LINT)
 
-# make fuzz COUNT=1000 SEED=1      random programs on the engine in WebAssembly and the reference engine, compared
+# make fuzz COUNT=1000 SEED=1      compares the WebAssembly engine with the reference engine on random programs
 COUNT ?= 1000
 SEED ?= 1
 fuzz: $(VENV)/.tested
 	$(BIN)/python tests/fuzz/fuzz.py --count $(COUNT) --seed $(SEED)
 
-# make fuzz-decoders COUNT=10000 SEED=1 [ONLY=bundle,block]      bytes that others may send, into all that reads them
+# make fuzz-decoders COUNT=10000 SEED=1 [ONLY=bundle,block]      random and mutated input for every decoder
 fuzz-decoders: $(VENV)/.tested
 	$(BIN)/python tests/decoders/run.py --count $(COUNT) --seed $(SEED) --only "$(ONLY)"
 
-# make bench ONLY=hop,local   those figures        make bench SAVE=rows.json   also writes the rows
-# make bench AGAINST=PATH     compared, round by round, with another checkout that has its own .venv
-# ROUNDS=30 measures longer
+# make bench ONLY=hop,local   only these figures   make bench SAVE=rows.json   also writes the rows to a file
+# make bench AGAINST=PATH     compares with another checkout that has its own .venv, in alternating rounds
+# make bench ROUNDS=30        measures for longer
 # make bench ONLY=hop,rankings,compiler,collector,agreement,together SAVE=tests/benchmarks/rows.json PICTURE=lfield/docs/figures.svg
 bench: $(VENV)/.measured
 	$(BIN)/python tests/benchmarks/run.py --only "$(ONLY)" $(if $(SAVE),--save "$(SAVE)") $(if $(PICTURE),--picture "$(PICTURE)") \
 		$(if $(AGAINST),--against "$(AGAINST)") $(if $(ROUNDS),--rounds $(ROUNDS))
 
-# deploy/locks has the version and hash of every installed package, including those that build lfield.
+# deploy/locks lists the version and hash of every installed package, including build dependencies.
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check
 LOCKED = $(INSTALL) --require-hashes --requirement deploy/locks/$(1).txt && \
 	$(INSTALL) --no-deps --no-build-isolation --editable .
@@ -106,13 +106,13 @@ $(VENV)/.measured: $(VENV)/.tested deploy/locks/bench.txt
 	$(call LOCKED,bench)
 	touch $@
 
-# Robots get pip from run.txt: the Python of a vendor may have none.
+# run.txt includes pip for robots: the vendor's Python may lack it.
 LOCK = printf 'editables\nhatchling\n$(if $(filter run,$(1)),pip\n)' | \
 	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes \
 	--no-header --no-annotate --no-emit-index-url \
 	$(addprefix --extra ,$(2) $(3) $(4) $(5)) --output-file deploy/locks/$(1).txt pyproject.toml -
 
-# Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.
+# Locks the newest versions that pyproject.toml allows, for all supported Python versions and processors, and tests them.
 locks: $(VENV)/.tested
 	$(INSTALL) uv
 	$(call LOCK,run,all,zenoh) && $(call LOCK,desk,desk) && \
