@@ -285,7 +285,7 @@ RACES: tuple[LibraryFunction, ...] = (
         INT,
         "",
         "coordinator",
-        "the first that has ended; the others go on; -1 if all are null",
+        "the first that has ended; the others continue; -1 if all are null",
     ),
 )
 ARRAY_LIBRARY = tuple(dict.fromkeys(f.name for f in LIBRARY_OF_ARRAYS))

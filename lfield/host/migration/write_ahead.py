@@ -230,7 +230,7 @@ class JournalContents:
             if row.state in ("FROZEN", "PREPARED", "IN DOUBT", "MOVED"):
                 return f"moved to {row.where}" if row.where else "waits for a host that resumes it"
             if row.state == "RUN":
-                return "goes on"
+                return "is restored from the journal"
         last = max(rows, key=lambda row: row.generation, default=None)
         # An earlier start ended in an earlier run: the recorded start was not made.
         if last and self.is_run_open and last.generation >= (self.last_start or 0):

@@ -98,7 +98,7 @@ def test_lowering_by_the_lifted_height_releases_the_load(registry: Registry) -> 
 
 def test_lift_without_a_load_raises_an_exception(registry: Registry) -> None:
     body = "try { findLift()[0].lift(2.0); } catch (Exception e) { print(e.message()); }"
-    assert output_of(registry, "Hand?empty Balloon", body) == ["grips", "the hand has found nothing to lift"]
+    assert output_of(registry, "Hand?empty Balloon", body) == ["grips", "no object to lift was gripped"]
 
 
 def test_path_is_followed_point_by_point(registry: Registry) -> None:
@@ -109,7 +109,7 @@ def test_path_is_followed_point_by_point(registry: Registry) -> None:
         who.followPath(path);
         try { who.followPath(new real[4]); } catch (Exception e) { print(e.message()); }
     """
-    lines = ["goes to 1.0 0.0 0.0", "goes to 0.0 2.0 0.0", "a path has north, east and down for every point"]
+    lines = ["goes to 1.0 0.0 0.0", "goes to 0.0 2.0 0.0", "each point of a path needs north, east and down"]
     assert output_of(registry, "Cart", body) == lines
 
 
