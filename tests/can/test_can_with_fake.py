@@ -62,6 +62,7 @@ def gripper(binding):
     return make
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
 async def test_three_devices_on_one_bus(door, drive, odrive, gripper):
     devices = (DRIVE, ODRIVE, f"dbc:{GRIPPER}")

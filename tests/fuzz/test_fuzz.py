@@ -33,7 +33,7 @@ DICE = st.randoms(use_true_random=False)
 _BEYOND = {"device", "settle"}
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("planted", PLANTED)
 def test_a_planted_fault_is_found(planted: type[ReferenceEngine]) -> None:
     fuzz = EngineFuzzer(planted, mutants=0)
@@ -46,6 +46,7 @@ def test_planted_fault_in_the_engine_text_is_found(fault: Fault) -> None:
     assert finder(fault, _SOON) is not None
 
 
+@pytest.mark.few(0)
 def test_programs_contain_every_instruction() -> None:
     missing = {row.name for row in TABLE} - _BEYOND
     for seed in range(_SOON):

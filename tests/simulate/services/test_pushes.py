@@ -18,7 +18,7 @@ from simulation_testing.services.push_story import KINDS, PushStory, draw_push_s
 CASE = 6
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, 120, CASE))
 def test_pushes_keep_every_promise(first: int) -> None:
     counts = Counter[str]()
