@@ -44,9 +44,7 @@ def mission(shared_lfield):
 
 
 def test_the_running_team_answers(mission, here):
-    shown = here(
-        "query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain", status=0
-    )
+    shown = here("query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain", status=0)
     assert shown.out[0] == "from the running team: 2 of 2 hosts answered"
     assert shown.out[4].split()[:4] == ["1", "arm1", "alpha", "direct"]
     assert "  arm2: payload 1.2 < 2.0" in shown.out

@@ -40,8 +40,9 @@ def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
 
 
 def test_the_same_seed_gives_the_same_run() -> None:
-    assert run_push_seed(3).digest == run_push_seed(3).digest
-    assert run_push_seed(3).digest != run_push_seed(4).digest
+    digest = run_push_seed(3).digest
+    assert digest == run_push_seed(3).digest
+    assert digest != run_push_seed(4).digest
 
 
 @pytest.mark.few(0)
