@@ -79,7 +79,7 @@ async def test_wait_ready_after_a_cold_start_ends_when_arming_works(b, fc, /, ki
     await fc.execute("arm", [])
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("after", [5.0, 15.0, 25.0, 33.0, 36.5])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 @on_bench("bench", warm_up=43.0, options={"connect": 45.0}, given="kind")

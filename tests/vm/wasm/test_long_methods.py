@@ -92,7 +92,7 @@ def _ways_out(text: str) -> int:
     return max((f.count("br $exit") + f.count("$spill") for f in functions), default=0)
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_work_is_linear_in_the_length_of_the_code(shape, steps):
     short, long = (_prepared(_program(SHAPES[shape](n))) for n in (60, 600))
@@ -104,6 +104,7 @@ def test_the_work_is_linear_in_the_length_of_the_code(shape, steps):
     assert _ways_out(texts[1]) < 5
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_long_method_has_the_same_effect(shape, monkeypatch):
     text = _program(SHAPES[shape](40))
