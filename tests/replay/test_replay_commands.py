@@ -325,6 +325,7 @@ def calls_of(recorded: Path, folder: Path, program: str) -> tuple[CallLog, CallL
     return before, run_program(recording, order, mission, recorded=before)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("replaced", "loop", "agent", "line"),
     [

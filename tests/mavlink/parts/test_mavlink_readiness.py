@@ -125,7 +125,7 @@ async def test_vehicle_without_contact_is_not_ready(b, fc, /):
     assert "no message for" in await fc.execute("whyNotReady", [])
 
 
-@pytest.mark.few(10)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("gap", [n * 0.02 for n in range(50)])
 def test_warm_copter_is_armed_directly_after_open(bench, gap):
     """As measured: its GCS failsafe is active, and ends up to 0.35 s after a heartbeat."""

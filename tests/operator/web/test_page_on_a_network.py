@@ -156,7 +156,6 @@ def test_requests_without_tls_or_with_another_root_get_no_answer(page, client: C
     assert client.asks(client.path)[0] == 303
 
 
-@pytest.mark.few(0)
 @pytest.mark.process
 @needs_browser
 @pytest.mark.browser

@@ -110,6 +110,7 @@ FOUND: list[tuple[Callable[[pytest.MonkeyPatch], None], int]] = [
 ]
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("bug", "first"), FOUND, ids=[bug.__name__ for bug, _ in FOUND])
 def test_a_broken_lease_rule_is_found(
     bug: Callable[[pytest.MonkeyPatch], None], first: int, monkeypatch: pytest.MonkeyPatch

@@ -118,6 +118,7 @@ def test_a_service_has_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     assert code_folder() == Path("/var/cache/lfield/code")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["file", "x" * 300, "file/below", "loop"])
 def test_without_a_cache_folder_everything_is_compiled(
     cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str

@@ -127,6 +127,7 @@ def test_every_path_through_a_long_method_has_points() -> None:
     assert len(points) > 2 * 600 // control_flow_graph.STRETCH
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("count", [PARAMETERS - 1, PARAMETERS, PARAMETERS + 200])
 def test_parameters_beyond_the_limit_of_webassembly_are_in_the_frame(count: int) -> None:
     takes = ", ".join(f"int p{i}" for i in range(count))
