@@ -42,6 +42,7 @@ def test_mutated_inputs_are_decoded_or_refused_within_the_limits(name):
             target.decode(data)
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("name", TARGETS)
 def test_same_seed_makes_the_same_inputs(name):
     target = TARGETS[name]

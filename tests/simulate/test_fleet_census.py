@@ -177,6 +177,7 @@ def test_under_random_faults_no_loss_is_reported_while_a_copy_lives(tmp_path, se
     fleet.run(100.0)
 
 
+@pytest.mark.few(0)
 def test_losses_are_reported_under_random_faults(tmp_path):
     """Shows that the check above has cases to check."""
     told = set()

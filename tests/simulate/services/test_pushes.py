@@ -39,6 +39,7 @@ def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
     assert {len(story.steps) for story in stories} == {1, 2, 3}
 
 
+@pytest.mark.few(0)
 def test_the_same_seed_gives_the_same_run() -> None:
     digest = run_push_seed(3).digest
     assert digest == run_push_seed(3).digest
