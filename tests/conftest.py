@@ -17,6 +17,7 @@ from typing import Any
 import coroutine_tests
 import parametrized_cases
 import pytest
+from _pytest.unittest import TestCaseFunction
 from hypothesis import HealthCheck, is_hypothesis_test, settings
 from hypothesis.internal.conjecture import providers
 from xdist.remote import Producer
@@ -185,9 +186,12 @@ def pytest_pycollect_makeitem(name: str, obj: object) -> None:
 def _make_fewer_examples(function: Any) -> None:
     """Reduce the random examples of a property; other runs make other examples."""
     made = getattr(function, "_hypothesis_internal_use_settings", None) or settings.default
+    function._hypothesis_internal_use_settings = _with_fewer_examples(made)
+
+
+def _with_fewer_examples(made: settings) -> settings:
     least = min(_LEAST_EXAMPLES, made.max_examples)
-    reduced = settings(made, max_examples=max(least, int(_EXAMPLES * made.max_examples)))
-    function._hypothesis_internal_use_settings = reduced
+    return settings(made, max_examples=max(least, int(_EXAMPLES * made.max_examples)))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -200,6 +204,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         functions = {item.function for item in items if isinstance(item, pytest.Function)}
         for function in filter(is_hypothesis_test, functions):
             _make_fewer_examples(function)
+        # A state machine of Hypothesis has its settings at its class.
+        for machine in {item.cls for item in items if isinstance(item, TestCaseFunction)}:
+            if isinstance(made := getattr(machine, "settings", None), settings):
+                machine.settings = _with_fewer_examples(made)
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
     long = {item.path for item in items if item.get_closest_marker("long")}

@@ -62,7 +62,6 @@ def test_copter_visits_the_site_that_the_rover_cannot_reach(lfield_mission):
     assert len(team.hops) < agreements * len(hosts) * (len(hosts) - 1) == 36
 
 
-@pytest.mark.few(0)
 def test_tier_one_stops_for_obstacles_without_a_query(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: has_left_home(team, "rover.fc"))
@@ -76,6 +75,7 @@ def test_tier_one_stops_for_obstacles_without_a_query(lfield_mission):
     assert obstacle_distance(team) > RADIUS + 2.0
 
 
+@pytest.mark.few(0)
 def test_tier_one_returns_on_low_battery_without_a_query(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: has_left_home(team, "copter.fc"))

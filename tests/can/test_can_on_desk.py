@@ -74,6 +74,7 @@ def test_device_faults_are_described_and_reset(drive, odrive):
     play(story, drive(), odrive(), devices=(DRIVE, ODRIVE))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("fault", ["loss=0.05", "corrupt=0.02", "delay@5=0.05", "nonsense@5=0.1"])
 def test_disturbed_bus_gives_delays_or_exceptions_but_no_failure(fault, drive):
     async def story(fake, axis):

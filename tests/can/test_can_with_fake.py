@@ -62,6 +62,7 @@ def gripper(binding):
     return make
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
 async def test_three_devices_on_one_bus(door, drive, odrive, gripper):
     devices = (DRIVE, ODRIVE, f"dbc:{GRIPPER}")
@@ -136,7 +137,7 @@ async def test_can_fd_frames_with_profile_5_pass_a_serial_adapter(binding, tmp_p
         assert scanner.query("malformed") == 0
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("door", DOORS)
 async def test_expired_setpoint_ends_in_the_safe_state(door, drive):
     async with team(door, drive(ttl=3.0), devices=[DRIVE]) as (_, axis):

@@ -13,11 +13,12 @@ import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import builds_here
 import pytest
 
 from lfield.cli.main import main
@@ -268,6 +269,10 @@ class Said:
     out: list[str]
     err: list[str]
 
+    @property
+    def said(self) -> str:
+        return "\n".join(["stdout:", *self.out, "stderr:", *self.err])
+
 
 @pytest.fixture(scope="session")
 def ports() -> Iterator[Ports]:
@@ -288,12 +293,16 @@ def here(
     lfield: Lfield, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Callable[..., Said]:
     """`here(*words)`: a command in this process, in the folder of `lfield`, with this exit status if one is
-    given."""
+    given. It builds bundles in this process too."""
     monkeypatch.chdir(lfield.folder)
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
+    builds_here.use(monkeypatch)
 
-    def run(*words: object, status: int | None = None) -> Said:
-        ended = main([str(word) for word in words])
+    def run(*words: object, status: int | None = None, env: Mapping[str, str] | None = None) -> Said:
+        with pytest.MonkeyPatch.context() as patch:
+            for name, value in (env or {}).items():
+                patch.setenv(name, value)
+            ended = main([str(word) for word in words])
         output = capfd.readouterr()
         assert "a bug in lfield" not in output.err
         assert status in (None, ended), f"exit status {ended}\n{output.out}\n{output.err}"

@@ -5,16 +5,16 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING
 
 import anyio
 import pytest
-from mcp.client.session import ClientSession
-from mcp.shared.exceptions import MCPError
 
-from lfield.client.assistants import assistant_server
-from lfield.client.assistants.assistant_server import AssistantServer
 from lfield.client.team_selection import TeamSelection
 from lfield.errors import NoMissionRunning, OutputFileError
+
+if TYPE_CHECKING:
+    from mcp.client.session import ClientSession
 
 #: Where no mission runs.
 STATUS = ("status", {})
@@ -24,8 +24,11 @@ class RecordedLog:
     """The log lines, and a connection that fails with an error."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+        # The package takes half a second to import, in each worker.
+        from lfield.client.assistants import assistant_server
+
         self.lines: list[tuple[str, str]] = []
-        self.server = AssistantServer(TeamSelection(), "anna", self._add)
+        self.server = assistant_server.AssistantServer(TeamSelection(), "anna", self._add)
 
         def connect(*_: object, **__: object) -> None:
             raise error
@@ -37,6 +40,8 @@ class RecordedLog:
 
     async def run(self, story: Callable[[ClientSession, object], Awaitable[None]]) -> None:
         """Run a story with a session of a client, and the stream of lines of that client."""
+        from mcp.client.session import ClientSession
+
         to_server, server_in = anyio.create_memory_object_stream(16)
         to_client, client_in = anyio.create_memory_object_stream(16)
         serving = asyncio.create_task(self.server.serve_streams(server_in, to_client))
@@ -66,6 +71,8 @@ def test_an_error_of_lfield_and_a_bug_are_results_and_logged_with_their_codes(mo
 
 
 def test_a_call_that_cannot_be_logged_is_not_executed(monkeypatch) -> None:
+    from lfield.client.assistants.assistant_server import AssistantServer
+
     log = RecordedLog(monkeypatch, KeyError("executed"))
 
     def fail(line) -> None:
@@ -93,6 +100,8 @@ def test_a_line_that_is_not_a_message_is_logged_and_the_next_one_is_answered(mon
 
 
 def test_a_request_that_the_protocol_refuses_is_logged_with_its_method(monkeypatch) -> None:
+    from mcp.shared.exceptions import MCPError
+
     log = RecordedLog(monkeypatch, NoMissionRunning("nothing runs"))
 
     async def story(session, _) -> None:

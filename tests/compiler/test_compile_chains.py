@@ -61,7 +61,7 @@ def test_a_long_expression_has_the_right_value(value: str, result: str) -> None:
     assert desk.output == [result]
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("condition", "result"),
     [

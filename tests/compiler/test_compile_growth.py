@@ -38,7 +38,7 @@ SHAPES: dict[str, Callable[[int], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_compile_time_is_linear(shape, steps):
     few, many = (steps(lambda n=n: compile_text(SHAPES[shape](n))) for n in (30, 300))

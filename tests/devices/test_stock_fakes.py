@@ -37,7 +37,7 @@ def stock_mission(folder: Path, include: str) -> Mission:
 
 
 @pytest.mark.process
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("include", STOCK)
 def test_stock_resource_opens_on_a_fake_of_its_kind(tmp_path: Path, include: str) -> None:
     found: list[DiagnosticFinding] = []

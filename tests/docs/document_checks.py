@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import re
 import shlex
@@ -19,15 +18,17 @@ from msgspec import structs
 
 from lfield.capability.registry_reader.registry_files import check_files
 from lfield.cli.main import COMMANDS, MODULES
-from lfield.clock import SystemClock
+from lfield.devices.fake_processes import fault_options
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.manifest_file import load_manifest
 from lfield.driver.plugins import discover
-from lfield.errors import BindingError, LfieldError, ProgramError
+from lfield.driver.sims import sims_of
+from lfield.errors import BindingError, DevicesError, LfieldError, ProgramError
 from lfield.lang.deployment import read_deployment
 from lfield.mission.device_selection import devices_in_file
 from lfield.mission.loader import ACCESS, compile_file, load_mission
-from lfield.operator.diagnostics import DiagnosticFinding, endpoints
+from lfield.testing.desk import Desk
+from lfield.testing.driver_bench import GuardedDevice
 
 Problems = list[str]
 Check = Callable[[Block, Path], Problems]
@@ -150,10 +151,20 @@ def _bound(path: Path) -> list[DeviceBinding]:
 
 
 def opened(devices: list[DeviceBinding]) -> Problems:
-    """Problems of opening these devices on fakes, such as a watchdog that is too slow."""
-    found: list[DiagnosticFinding] = []
-    asyncio.run(endpoints(discover(), devices, SystemClock(), found.append))
-    return [f"{finding.what}" for finding in found if finding.state == "problem"]
+    """Problems of opening these devices on fakes, such as a watchdog that is too slow; on virtual time."""
+    found: Problems = []
+    for device in devices:
+        desk, sim = Desk(), sims_of({device.driver})[device.driver]
+        fake = desk.fake(sim, *sim.arguments([device]), *fault_options([device]))
+        try:
+            desk.run(_only_opened, structs.replace(device, endpoint=fake.endpoint))
+        except DevicesError as error:
+            found += error.problems
+    return found
+
+
+async def _only_opened(device: GuardedDevice) -> None:
+    assert device
 
 
 def data(block: Block, folder: Path) -> Problems:

@@ -94,7 +94,7 @@ def test_golden_program_compiles_to_the_same_code_in_any_layout(path: Path) -> N
         check_layouts(text, random.Random(path.stem))
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(200))
 def test_random_program_compiles_to_the_same_code_in_any_layout(seed: int) -> None:
     check_layouts(random_program(random.Random(seed)).text(), random.Random(seed))

@@ -157,7 +157,7 @@ def test_positions_are_in_the_encoding_of_the_editor(tmp_path: Path) -> None:
             assert found["range"]["start"] == {"line": 1, "character": text.split("\n")[1].index("n)")}
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("method", "params", "code"),
     [

@@ -11,7 +11,7 @@ from lfield.testing.golden import check
 _PROGRAMS = sorted((Path(__file__).parent / "programs").glob("*.L"))
 
 
-@pytest.mark.few(120)
+@pytest.mark.few(80)
 @pytest.mark.parametrize("path", _PROGRAMS, ids=lambda path: path.stem)
 def test_golden_program(path: Path) -> None:
     check(path)

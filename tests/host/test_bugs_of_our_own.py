@@ -150,6 +150,7 @@ def lines_of_core(running):
     return [line for line in running.log.splitlines() if " unreachable at " not in line]
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize(("owner", "name"), OF_THE_HOST, ids=names(OF_THE_HOST))
 async def test_a_bug_of_the_host_ends_the_host_without_a_further_beat(team, /, monkeypatch, owner, name):
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: unhandled(loop, context))

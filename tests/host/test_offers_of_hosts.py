@@ -245,6 +245,7 @@ def far_report(*facts, agent=3, unknown=()):
     return [AgentUpdate(agent, "", None, list(facts), list(unknown))]
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("agents", "why"),
     [

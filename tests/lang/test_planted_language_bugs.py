@@ -22,6 +22,7 @@ def _check(program: str) -> None:
         check(_PROGRAMS / f"{program}.L")
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
 def test_a_planted_language_bug_is_found(bug: LanguageBug, monkeypatch: pytest.MonkeyPatch) -> None:
     _check(bug.program)

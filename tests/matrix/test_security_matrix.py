@@ -67,7 +67,7 @@ def assert_as_marked(cell: Cell, done: bool) -> None:
     )
 
 
-@pytest.mark.few(120)
+@pytest.mark.few(60)
 @pytest.mark.parametrize("cell", of("network"))
 def test_access_over_the_network(network, cell):
     assert_as_marked(cell, network.tried(cell.who, cell.what))
@@ -79,7 +79,7 @@ def test_access_at_the_door(network, users, cell):
     assert_as_marked(cell, network.tried_at_socket(users, cell.who, cell.what))
 
 
-@pytest.mark.few(60)
+@pytest.mark.few(30)
 @pytest.mark.parametrize("cell", of("service"))
 def test_access_at_the_service_of_a_robot(network, cell):
     assert_as_marked(cell, Services(network).tried(cell.who, cell.what))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
 import time
 from pathlib import Path
 
+import builds_here
 import pytest
 from missions import CAPABILITIES, PLAIN, write_plain, write_rich
 
@@ -29,6 +31,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def built(monkeypatch: pytest.MonkeyPatch) -> list[BuildRequest]:
     """The requests that were built."""
     orders: list[BuildRequest] = []
+    builds_here.use(monkeypatch)
     build = build_cache._build
 
     def counted(order: BuildRequest, workshop: Path) -> Path:
@@ -98,6 +101,8 @@ def test_only_python_modules_of_a_module_folder_count(
     modules = tmp_path / "modules"
     modules.mkdir()
     monkeypatch.setenv("PYTHONPATH", str(modules))
+    # Only a process of its own reads the variable.
+    monkeypatch.setattr(build_cache, "subprocess", subprocess)
     order = BuildRequest(write_plain(tmp_path / "here"))
     bytes_of(order)
     # As tools leave their caches in their working folder.

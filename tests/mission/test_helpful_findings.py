@@ -147,6 +147,7 @@ def renamed(tmp_path: Path, resource: str, agent: str) -> Path:
     return path
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("resource", "agent", "kind"),
     [

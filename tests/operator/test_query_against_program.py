@@ -114,6 +114,7 @@ def test_stated_attributes_count_where_the_program_asks_for_nothing(mission):
     assert asked.stated == {"lead": {"mass": 7.0}}
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "path", sorted(EXAMPLES.glob("0*/*.L")), ids=lambda path: f"{path.parent.name}-{path.stem}"
 )

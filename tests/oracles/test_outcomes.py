@@ -14,6 +14,8 @@ from simulation_testing.seed_runner import DIGITS, IN_A_LINE, lines_of, run_seed
 
 FILE = Path(__file__).parent / "outcomes.txt"
 SEEDS = 2000
+#: Half a line of the file.
+IN_A_CASE = IN_A_LINE // 2
 
 
 def frozen() -> list[str]:
@@ -21,11 +23,12 @@ def frozen() -> list[str]:
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("first", range(0, SEEDS, IN_A_LINE))
+@pytest.mark.parametrize("first", range(0, SEEDS, IN_A_CASE))
 def test_stories_come_to_what_they_came_to(first: int) -> None:
-    seeds = range(first, first + IN_A_LINE)
+    seeds = range(first, first + IN_A_CASE)
     outcomes = [run_seed(seed).outcome[:DIGITS] for seed in seeds]
-    _, *expected = frozen()[first // IN_A_LINE].split()
+    _, *line = frozen()[first // IN_A_LINE].split()
+    expected = line[first % IN_A_LINE :][:IN_A_CASE]
     assert dict(zip(seeds, outcomes, strict=True)) == dict(zip(seeds, expected, strict=True))
 
 

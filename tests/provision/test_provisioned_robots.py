@@ -125,6 +125,7 @@ REFUSALS = {
 }
 
 
+@pytest.mark.few(0)
 def test_missing_requirements_are_reported_with_the_remedy(trial):
     """No password prompt and no partial installation: each host ends with a remedy."""
     robots = [

@@ -51,7 +51,7 @@ def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, en
     assert len(found.parts) >= 2 * len(team.hosts)
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", MISSIONS)
 def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
     """A host has the drivers of its own devices only, but knows the devices of all hosts."""
@@ -66,7 +66,7 @@ def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
 @pytest.mark.parametrize("name", MISSIONS)
 def test_the_program_of_an_example_makes_all_recorded_calls(name):
     """`lfield test --from` compares the whole flight."""
-    parts, mission = record_mission(EXAMPLES / name, 30.0)
+    parts, mission = record_mission(EXAMPLES / name, 15.0)
     recording = TeamRecording(mission, (), (), ())
     made: Counter[str] = Counter()
     for part in parts:

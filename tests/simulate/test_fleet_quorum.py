@@ -95,6 +95,7 @@ def test_a_home_that_is_no_member_starts_and_ends_coordinators_under_leases(tmp_
     run_until(Fleet(mission(tmp_path, team=team), 1), "complete", 60.0)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: Path, seed: int) -> None:
     fleet = Fleet(mission(tmp_path), seed)

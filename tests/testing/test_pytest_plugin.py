@@ -53,13 +53,9 @@ def run(folder: Path, *words: str, pytest_variables: bool = False) -> tuple[int,
 
 
 def test_a_run_without_the_plugin_has_no_fixture_and_imports_no_lfield(project):
-    (project / "test_walk.py").write_text(
-        "import sys\ndef test_a():\n    assert 'lfield' not in sys.modules\n"
-    )
-    status, said = run(project, "-m", "pytest", "-q")
-    assert status == 0, said
-    (project / "test_walk.py").write_text(TEST)
+    (project / "test_a.py").write_text("import sys\ndef test_a():\n    assert 'lfield' not in sys.modules\n")
     _, said = run(project, "-m", "pytest", "-q")
+    assert "1 passed" in said
     assert "fixture 'lfield_mission' not found" in said
 
 

@@ -42,6 +42,19 @@ class Scope:
     functions: tuple[ast.FunctionDef | ast.AsyncFunctionDef, ...] = ()
 
 
+def nodes(tree: ast.AST) -> Iterator[ast.AST]:
+    """All nodes but contexts and operators, in no order. `ast.walk` takes four times as long."""
+    left = [tree]
+    while left:
+        yield (node := left.pop())
+        for value in vars(node).values():
+            if isinstance(value, ast.AST):
+                if value._fields:
+                    left.append(value)
+            elif isinstance(value, list):
+                left += [each for each in value if isinstance(each, ast.AST) and each._fields]
+
+
 @cache
 def scoped(tree: ast.Module) -> tuple[tuple[ast.AST, Scope], ...]:
     """The nodes of a file that a rule examines, each with its scope, in the order of the text."""

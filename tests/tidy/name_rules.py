@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from code_tree import Finding, Trees
+from code_tree import Finding, Trees, nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def named(file: str, tree: ast.Module) -> Iterator[tuple[int, str, str]]:
     """Line, kind and name of the module, or of its package, and of every name that a file binds."""
     path = Path(file)
     yield 1, "module", path.parent.name if path.stem == "__init__" else path.stem
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if (bound := _BINDING.get(type(node))) is not None:
             for kind, name in bound(node):
                 if name is not None:

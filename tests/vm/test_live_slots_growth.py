@@ -102,7 +102,7 @@ def test_live_slots_of_golden_programs_satisfy_the_definition():
     assert compared > 1000
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_work_is_linear_in_the_length_of_the_code(shape, steps):
     short, long = (_boss(SHAPES[shape](n)) for n in (30, 300))

@@ -97,6 +97,7 @@ def test_unsuitable_drive_is_refused_with_its_mapping_and_abort_text(bus, bound)
     assert "It has TPDO 1 with 0x6041, TPDO 2 with 0x6041 0x6064" in text
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("variant", VARIANTS[4:], ids=lambda variant: variant.name)
 async def test_setpoint_stream_in_pdos_with_control_word(bus, bound, variant):
     """Control word, mode and targets in one frame never restore one another's old values."""

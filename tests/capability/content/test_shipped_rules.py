@@ -19,9 +19,11 @@ def findings(program: str) -> list[str]:
     return [d.render() for d in checked.diagnostics]
 
 
-@pytest.mark.parametrize("name", sorted(REGISTRY.primitives))
-def test_every_primitive_can_be_queried(name: str) -> None:
-    assert findings(f"coordinator C {{ init(string[] arg) {{ {name}[] who = find{name}(); }} }}") == []
+def test_every_primitive_can_be_queried() -> None:
+    queries = "\n".join(
+        f"{name}[] who{number} = find{name}();" for number, name in enumerate(sorted(REGISTRY.primitives))
+    )
+    assert findings(f"coordinator C {{ init(string[] arg) {{ {queries} }} }}") == []
 
 
 @pytest.mark.parametrize("name", sorted(REGISTRY.compositions))

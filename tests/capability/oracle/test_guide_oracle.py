@@ -111,7 +111,7 @@ def shown(ways: list[Way]) -> list[tuple[str, Any]]:
     return [(way.tree, pytest.approx(way.score, abs=1e-9)) for way in ways]
 
 
-@pytest.mark.few(30)
+@pytest.mark.few(15)
 @pytest.mark.parametrize("seed", range(WORLDS))
 def test_search_equals_the_guide(seed: int, tmp_path: Path) -> None:
     made, registry, rng = drawn(seed, tmp_path)

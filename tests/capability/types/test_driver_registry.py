@@ -79,6 +79,7 @@ def test_two_drivers_that_define_one_type_are_reported(hall: Path) -> None:
     assert [finding.code for finding in found] == ["C104"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["Lory", "lorry", "LORRY"])
 def test_provider_without_a_resource_type_is_an_error(hall: Path, name: str, capsys) -> None:
     mission = hall / "m.capabilities.yaml"

@@ -31,8 +31,8 @@ def deployment(lfield):
     return lfield.mission(PROGRAM, DEPLOYMENT, devices)
 
 
-def test_endpoints_are_reported_with_their_remedy(lfield, deployment):
-    doctor = lfield("doctor", "--deploy", deployment, status=69)
+def test_endpoints_are_reported_with_their_remedy(deployment, here):
+    doctor = here("doctor", "--deploy", deployment, status=69)
     (found,) = [line for line in doctor.out if "lead.fc" in line]
     assert found.startswith("ok      lead.fc: ArduPilot copter, system 1 at udp:127.0.0.1:")
     (problem,) = [number for number, line in enumerate(doctor.out) if "wing.fc" in line]

@@ -110,6 +110,7 @@ def test_a_failed_check_sets_the_exit_status(site, endpoint):
     assert "FAILED  kit.device: moves and reports its position" in said
 
 
+@pytest.mark.few(0)
 def test_without_consent_nothing_moves(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--silence", "2", stdin=subprocess.DEVNULL)
     said, _ = kit.communicate()

@@ -51,13 +51,13 @@ def test_a_missing_endpoint_is_one_sentence(here):
         assert len(kit.err) == 1
 
 
-def test_devices_of_a_file_are_checked_as_json_without_consent(lfield, bus):
+def test_devices_of_a_file_are_checked_as_json_without_consent(lfield, bus, here):
     axis = f"driver: can, endpoint: '{bus}', type: CanAxis, protocol: cia402, counts: 10000"
     lfield.write(
         "crane.yaml",
         f"agents:\n  crane: {{devices: {{hoist: {{{axis}, node: 5}}, trolley: {{{axis}, node: 6}}}}}}\n",
     )
-    kit = lfield("kit", "can", "--devices", "crane.yaml", "--json", "--silence", "2", status=0)
+    kit = here("kit", "can", "--devices", "crane.yaml", "--json", "--silence", "2", status=0)
     findings = [json.loads(line) for line in kit.out]
     assert all(set(finding) == {"device", "check", "outcome", "seen"} for finding in findings)
     identities = {f["device"]: f["seen"] for f in findings if f["check"] == "identity"}
@@ -76,13 +76,13 @@ def test_devices_of_a_file_are_checked_as_json_without_consent(lfield, bus):
         ("mavlink", ["--listen", "udp:127.0.0.1:0", "--set-up"], ["waivers=[device_watchdog]"], 11),
     ],
 )
-def test_checks_without_motion_run_on_a_fake(lfield, driver, fake, settings, passed):
+def test_checks_without_motion_run_on_a_fake(lfield, driver, fake, settings, passed, here):
     """tests/kits has the whole kits, on virtual time."""
     sim = lfield.start("sim", driver, *fake, "--until-stdin-closes", stdin=True)
     words = [word for setting in settings for word in ("--set", setting)]
     types = ["--type", "Dynamixel"] if driver == "dynamixel" else []
     where = sim.wait_for(r"^ready (\S+)")[1]
-    kit = lfield("kit", driver, "--endpoint", where, *types, *words, "--silence", "2", status=0)
+    kit = here("kit", driver, "--endpoint", where, *types, *words, "--silence", "2", status=0)
     assert kit.out[0].startswith("ok      kit.device: endpoint: ")
     assert kit.out[1].startswith("ok      kit.device: identity: ")
     assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")

@@ -34,6 +34,7 @@ def setup(lfield, here):
     return start
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("autopilot", HARMLESS)
 def test_a_file_is_shown_written_read_back_and_reverted(lfield, setup, autopilot):
     text, name, value = HARMLESS[autopilot]
@@ -61,6 +62,7 @@ def test_a_file_is_shown_written_read_back_and_reverted(lfield, setup, autopilot
     assert any(line == change for line in run("--apply", file).out)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("autopilot", FORBIDDEN)
 def test_values_that_the_binding_forbids_refuse_the_whole_file(lfield, setup, autopilot):
     run = setup(autopilot)

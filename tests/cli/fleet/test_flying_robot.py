@@ -36,6 +36,7 @@ agents:
 """
 
 
+@pytest.mark.few(0)
 def test_a_flying_robot_votes_against_an_activation(lfield, here, robots) -> None:
     team: Robots = robots("alpha")
     team.up(options="--sim")

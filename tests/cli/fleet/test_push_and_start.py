@@ -111,6 +111,7 @@ def test_a_second_start_waits_for_a_missing_host(lfield, here, robots) -> None:
     assert runs == {"alpha": "running", "bravo": "running"}
 
 
+@pytest.mark.few(0)
 def test_a_killed_service_leaves_the_mission_alone_and_supervises_it_again(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()

@@ -66,34 +66,34 @@ def team(alone, lfield):
     lfield.end()
 
 
-def test_every_device_is_safe_and_not_released_before_the_stop_is_lifted(lfield, team):
-    pressed = lfield("estop", *team.words, "--no-wait", "--reason", "a child on the field", status=0)
+def test_every_device_is_safe_and_not_released_before_the_stop_is_lifted(lfield, team, here):
+    pressed = here("estop", *team.words, "--no-wait", "--reason", "a child on the field", status=0)
     assert sorted(pressed.out) == ["alpha: lead.fc: safe", "bravo: wing.fc: safe"]
     for host in team.hosts.values():
         host.wait_for(r"safe state 'land': the emergency stop was pressed: a child on the field")
         host.wait_for(r"not released: .*'lfield estop --lift' must come first")
         assert not any("| released" in line or line.endswith("released") for line in host.out)
-    lifted = lfield("estop", *team.words, "--lift", status=0)
+    lifted = here("estop", *team.words, "--lift", status=0)
     assert sorted(lifted.out) == ["alpha: lead.fc: may be released", "bravo: wing.fc: may be released"]
     for host in team.hosts.values():
         host.wait_for(r"^(?!.*not).*released$")
 
 
-def test_unconfirmed_devices_and_unreached_hosts_are_named(lfield, team, alone):
-    lfield("sim", "fault", "wing.fc", "silence=true", env=alone, status=0)
-    pressed = lfield("estop", *team.words, "--no-wait", status=3)
+def test_unconfirmed_devices_and_unreached_hosts_are_named(lfield, team, alone, here):
+    here("sim", "fault", "wing.fc", "silence=true", env=alone, status=0)
+    pressed = here("estop", *team.words, "--no-wait", status=3)
     assert pressed.out == ["alpha: lead.fc: safe"]
     assert pressed.err == [
         "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s",
     ]
-    pressed = lfield("estop", *team.words, "--no-wait", "--json", status=3)
+    pressed = here("estop", *team.words, "--no-wait", "--json", status=3)
     found = {host: answer["devices"] for host, answer in json.loads("".join(pressed.out)).items()}
     assert found["alpha"] == {"lead.fc": {"confirmed": True, "at_rest": None, "problem": ""}}
     assert found["bravo"]["wing.fc"]["confirmed"] is False
     assert found["bravo"]["wing.fc"]["problem"]
     team.hosts["bravo"].popen.kill()
     team.hosts["bravo"].popen.wait()
-    again = lfield("estop", *team.words, "--no-wait", status=3)
+    again = here("estop", *team.words, "--no-wait", status=3)
     assert again.out == ["alpha: lead.fc: safe"]
     (line,) = again.err
     assert line.startswith("bravo: NOT REACHED, its devices have not confirmed: ")

@@ -51,8 +51,8 @@ def of(kind: str, whole: list[dict]) -> list[dict]:
     return [event for event in whole if event["kind"] == kind]
 
 
-def test_all_events_come_in_one_order_with_their_causes(walk, lfield):
-    shown = lfield("events", "--deploy", walk.deployment, "--json", "--no-follow", status=exit_status.DONE)
+def test_all_events_come_in_one_order_with_their_causes(walk, here):
+    shown = here("events", "--deploy", walk.deployment, "--json", "--no-follow", status=exit_status.DONE)
     whole = [json.loads(line) for line in shown.out]
     assert {event["host"] for event in whole} == {"alpha", "beta"}
     assert all(before["time"] <= after["time"] + 1e-9 for before, after in pairwise(of("came", whole)))
@@ -95,8 +95,8 @@ def test_telemetry_and_hops_make_a_table(walk, lfield):
     assert all(None not in row and None not in row.values() for row in rows)
 
 
-def test_logs_have_the_lines_of_all_hosts_and_end(walk, lfield):
-    shown = lfield("logs", "--deploy", walk.deployment, status=exit_status.DONE)
+def test_logs_have_the_lines_of_all_hosts_and_end(walk, here):
+    shown = here("logs", "--deploy", walk.deployment, status=exit_status.DONE)
     lines = [line.partition(" | ")[2] for line in shown.out]
     visits = [line for line in lines if "visit" in line]
     assert visits[:4] == ["p: visit 0", "q: visit 1", "p: visit 2", "q: visit 3"]

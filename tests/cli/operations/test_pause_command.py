@@ -35,18 +35,18 @@ COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_wat
 DEVICES = f"agents: {{lead: {{devices: {{fc: {{{COPTER}, system: 1}}}}}}}}\n"
 
 
-def test_a_paused_copter_lands_and_flies_again(lfield, own):
+def test_a_paused_copter_lands_and_flies_again(lfield, own, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
     host = lfield.start(*words, env=own)
     host.wait_for("flies 1")
-    paused = lfield("pause", env=own, status=0)
+    paused = here("pause", env=own, status=0)
     assert "alpha: lead.fc: safe" in paused.said
-    shown = lfield("ps", env=own)
+    shown = here("ps", env=own)
     assert "paused: alpha; 'lfield resume' resumes the mission" in shown.said
     assert "safe, at rest" in shown.said
-    lfield("estop", "--no-wait", env=own, status=0)
-    barred = lfield("resume", env=own, status=0)
+    here("estop", "--no-wait", env=own, status=0)
+    barred = here("resume", env=own, status=0)
     assert "lead.fc: the emergency stop was pressed" in barred.said
     host.wait_for("told: the mission was paused; this call may have begun")
 

@@ -50,8 +50,8 @@ def mission(shared_lfield):
     return team
 
 
-def test_the_table_shows_agents_and_their_hosts(mission, lfield):
-    shown = lfield("ps", "--deploy", mission.deployment, status=0)
+def test_the_table_shows_agents_and_their_hosts(mission, here):
+    shown = here("ps", "--deploy", mission.deployment, status=0)
     assert shown.out[0].split()[:6] == ["HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED"]
     rows = {line.split()[1]: line for line in shown.out[1 : shown.out.index("")]}
     assert re.match(r"alpha +near +Post +parked +1 +[\d.]+ (Ki)?B", rows["near"])
@@ -59,16 +59,16 @@ def test_the_table_shows_agents_and_their_hosts(mission, lfield):
     assert re.match(r"bravo +tom +Guest +in a portal +1 +[\d.]+ (Ki)?B", rows["tom"])
 
 
-def told_as_json(mission, lfield):
-    shown = lfield("ps", "--deploy", mission.deployment, "--json", status=0)
+def told_as_json(mission, here):
+    shown = here("ps", "--deploy", mission.deployment, "--json", status=0)
     return json.loads("\n".join(shown.out))
 
 
-def test_the_team_is_shown_as_json(mission, lfield):
+def test_the_team_is_shown_as_json(mission, here):
     # The guest prints that it stays before its previous host has the confirmation of its arrival.
-    end, hosts = time.monotonic() + 60.0, told_as_json(mission, lfield)
+    end, hosts = time.monotonic() + 60.0, told_as_json(mission, here)
     while hosts["alpha"]["coordinators"][0]["state"] != "MOVED" and time.monotonic() < end:
-        hosts = told_as_json(mission, lfield)
+        hosts = told_as_json(mission, here)
     assert list(hosts) == ["alpha", "bravo"]
     assert hosts["alpha"]["linked"] == ["bravo"]
     agents = {agent["id"]: (host, agent) for host in hosts for agent in hosts[host]["agents"]}
@@ -320,14 +320,14 @@ def test_pending_calls_are_shown(capsys):
     ]
 
 
-def test_a_mission_that_does_not_run_has_a_status(lfield):
+def test_a_mission_that_does_not_run_has_a_status(lfield, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"))
     maps = lfield.maps(["alpha", "bravo"])
-    shown = lfield("ps", "--deploy", deployment, *maps, status=69)
+    shown = here("ps", "--deploy", deployment, *maps, status=69)
     assert (shown.out, shown.err[1:]) == ([], []), shown.err
     (line,) = shown.err
     assert line.startswith(f"lfield: {deployment} is not running: ")
-    result = lfield("ps", "--deploy", deployment, "--json", *maps, status=69)
+    result = here("ps", "--deploy", deployment, "--json", *maps, status=69)
     data = json.loads("\n".join(result.out))
     assert (data["code"], data["exit_status"]) == ("no-mission-running", 69)
 
@@ -368,10 +368,10 @@ def died(shared_lfield):
     return team
 
 
-def test_a_dead_agent_is_dumped_and_explained(lfield, died):
+def test_a_dead_agent_is_dumped_and_explained(lfield, died, here):
     assert lfield.status(died) == 1
     assert "bravo | tom dumped: read it with 'lfield inspect dumps/tom.block'" in died.err
-    shown = lfield("inspect", died.dump, status=0)
+    shown = here("inspect", died.dump, status=0)
     text = "\n".join(shown.out)
     assert "agent     tom (coordinator Careless)" in text
     assert "on        bravo, after 1 hop(s): alpha → bravo" in text

@@ -42,7 +42,7 @@ coordinator Planner {
 
 
 @pytest.mark.process
-def test_ps_shows_a_startable_coordinator_before_while_and_after_it_runs(lfield) -> None:
+def test_ps_shows_a_startable_coordinator_before_while_and_after_it_runs(lfield, here) -> None:
     deployment = lfield.mission(
         SEQUENCES, "//Desk:desk@alpha\nstartable Patrol:patrol@alpha\n//Planner:planner@alpha\n"
     )
@@ -52,7 +52,7 @@ def test_ps_shows_a_startable_coordinator_before_while_and_after_it_runs(lfield)
         run.wait_for(rf"{question}\?")
         if question == "second":
             run.wait_for("stays")
-        table = lfield("ps", "--deploy", deployment, status=0)
+        table = here("ps", "--deploy", deployment, status=0)
         shown += [line.split()[2:4] for line in table.out if line.startswith("alpha  patrol")]
         run.popen.stdin.write(b"\n")
         run.popen.stdin.flush()

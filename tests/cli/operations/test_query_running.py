@@ -43,31 +43,29 @@ def mission(shared_lfield):
     return team
 
 
-def test_the_running_team_answers(mission, lfield):
-    shown = lfield(
-        "query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain", status=0
-    )
+def test_the_running_team_answers(mission, here):
+    shown = here("query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain", status=0)
     assert shown.out[0] == "from the running team: 2 of 2 hosts answered"
     assert shown.out[4].split()[:4] == ["1", "arm1", "alpha", "direct"]
     assert "  arm2: payload 1.2 < 2.0" in shown.out
 
 
-def test_the_running_team_answers_as_json(mission, lfield):
-    shown = lfield("query", "Lift", "--deploy", mission.deployment, "--json", "--at", "bravo")
+def test_the_running_team_answers_as_json(mission, here):
+    shown = here("query", "Lift", "--deploy", mission.deployment, "--json", "--at", "bravo")
     whole = json.loads("\n".join(shown.out))
     assert (whole["source"], whole["answered"], whole["silent"]) == ("team", ["alpha", "bravo"], {})
     assert {offer["agent"] for offer in whole["capabilities"][0]["offers"]} == {"arm1", "arm2"}
 
 
-def test_a_silent_host_is_named(mission, lfield):
+def test_a_silent_host_is_named(mission, lfield, here):
     (map_, place) = lfield.maps(["bravo"])
-    shown = lfield("query", "Lift", "--deploy", mission.deployment, map_, place, status=0)
+    shown = here("query", "Lift", "--deploy", mission.deployment, map_, place, status=0)
     assert shown.out[0] == "from the running team: 1 of 2 hosts answered"
     assert [line.partition(":")[0] for line in shown.err] == ["bravo"]
 
 
-def test_without_a_running_team_the_files_answer(mission, lfield):
+def test_without_a_running_team_the_files_answer(mission, lfield, here):
     maps = lfield.maps(["alpha", "bravo"])
-    shown = lfield("query", "Lift", "--deploy", mission.deployment, *maps, status=0)
+    shown = here("query", "Lift", "--deploy", mission.deployment, *maps, status=0)
     assert shown.out[0] == "from the files: nothing is running, live attributes are unknown"
     assert shown.err == []

@@ -99,24 +99,24 @@ def test_all_runs_are_listed_and_stopped_without_arguments(lfield, own, mission)
     ]
 
 
-def test_a_killed_run_is_removed_when_its_last_host_has_ended(lfield, own, mission):
+def test_a_killed_run_is_removed_when_its_last_host_has_ended(lfield, own, mission, here):
     run = up_all(lfield, own, mission)
     run.signal(signal.SIGKILL)
     run.popen.wait()
     assert lfield.all_ended()
     assert len(runs_left(own)) == 1
-    shown = lfield("ps", env=own)
-    assert (lfield.status(shown), shown.out) == (69, [])
+    shown = here("ps", env=own)
+    assert (shown.status, shown.out) == (69, [])
     (said,) = shown.err
     assert said.startswith("lfield: no mission is running on this computer: searched ")
     assert str(Path(own["XDG_RUNTIME_DIR"]) / "lfield") in said
     assert runs_left(own) == []
 
 
-def test_the_only_running_mission_is_queried_without_its_name(lfield, own, mission):
+def test_the_only_running_mission_is_queried_without_its_name(lfield, own, mission, here):
     lfield.write("mission.capabilities.yaml", "registry: 1\nproviders: {Post: {serves: {Hold: {}}}}\n")
     up_all(lfield, own, mission)
-    result = lfield("query", "Hold", env=own)
+    result = here("query", "Hold", env=own)
     assert result.out[0] == "from the running team: 2 of 2 hosts answered", result.said
 
 

@@ -15,18 +15,18 @@ coordinator Guest { init(string[] arg) { heartbeatInterval(5); findPost("post").
 DEPLOYMENT = "//Guest:tom@alpha\n//Post:post@bravo\n//@ground\n"
 
 
-def test_a_witness_runs_and_is_shown(lfield):
+def test_a_witness_runs_and_is_shown(lfield, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
-    checked = lfield("check", deployment)
-    assert (lfield.status(checked), checked.err) == (0, [])
+    checked = here("check", deployment)
+    assert (checked.status, checked.err) == (0, [])
     team = lfield.start("up", "--deploy", deployment, "--all")
     team.wait_for(r"bravo +\| stays")
     # The coordinator does not need this host, so it may be on its way before these links are established.
     for host in ("alpha", "bravo"):
         team.wait_for(rf"ground +\| link to {host} established")
-    shown = lfield("ps", "--deploy", deployment, status=0)
+    shown = here("ps", "--deploy", deployment, status=0)
     assert any(line.split() == ["ground", "-", "up,", "no", "agents"] for line in shown.out), shown.said
-    hosts = json.loads("\n".join(lfield("ps", "--deploy", deployment, "--json").out))
+    hosts = json.loads("\n".join(here("ps", "--deploy", deployment, "--json").out))
     assert (hosts["ground"]["agents"], hosts["ground"]["linked"]) == ([], ["alpha", "bravo"])
 
 

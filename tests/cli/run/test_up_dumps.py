@@ -47,6 +47,7 @@ def test_a_dump_onto_a_fifo_is_refused_and_the_host_continues(lfield, run):
     assert refused in run().err
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["fifo", "link", "open"])
 def test_an_unusable_dump_folder_is_refused_before_the_start(lfield, here, kind):
     dumps, elsewhere = lfield.folder / "dumps", lfield.folder / "elsewhere"

@@ -232,6 +232,7 @@ def test_hosts_end_with_a_killed_parent(lfield):
     assert lfield.all_ended()
 
 
+@pytest.mark.few(0)
 def test_a_mission_that_dies_ends_with_1(lfield):
     program = "coordinator Careless { init(string[] arg) { print(i2s(1 / (arg.length() - 1))); } }\n"
     done = lfield(

@@ -14,7 +14,7 @@ from copter_flight import SLOW, SLOWEST, signal_in_a_hurry
 pytestmark = pytest.mark.process
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("before", [0.0, 0.05, 0.15])
 def test_a_guard_killed_just_before_the_stop_is_restarted_and_lands(flight, before):
     flown = flight()
@@ -50,7 +50,7 @@ def test_a_silent_vehicle_is_named_with_its_last_state_and_sets_the_status(fligh
     assert "armed yes" in line
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGHUP])
 def test_a_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here, monkeypatch, how):
     flown = flight(land=SLOWEST)

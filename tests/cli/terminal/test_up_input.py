@@ -61,6 +61,7 @@ def test_lines_are_addressed_to_hosts(lfield):
     assert not any("shortened" in line for line in run.err)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("options", [("--host", "alpha"), ("--all",)])
 def test_without_input_the_time_limit_ends_the_read(lfield, options):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=0.5))

@@ -225,6 +225,7 @@ def test_an_operator_without_a_rule_lifts_their_own_stop(team) -> None:
     page.until(lambda look: not look["stands"])
 
 
+@pytest.mark.few(0)
 @needs_browser
 @pytest.mark.process
 @pytest.mark.browser

@@ -87,7 +87,7 @@ def test_a_resume_of_a_person_does_not_end_the_hold_of_a_vote(flight: Team) -> N
     resumed = flight.pause(lift=True)
     assert resumed is not None
     assert (flight.pauses, flight.latched) == ((False, True), True)
-    flight.team.run(60.0)
+    flight.team.run(30.0)
     assert not flight.is_airborne
     assert flight.hold(FIRST, lift=True) is not None
     assert flight.pauses == (False, False)
@@ -105,7 +105,7 @@ def test_the_end_of_a_hold_does_not_end_the_pause_of_a_person(flight: Team, paus
     assert flight.pauses == (True, True)
     flight.hold(FIRST, lift=True)
     assert (flight.pauses, flight.latched) == ((True, False), True)
-    flight.team.run(60.0)
+    flight.team.run(30.0)
     assert not flight.is_airborne
     resumed = flight.pause(lift=True)
     assert resumed is not None

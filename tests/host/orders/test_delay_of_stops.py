@@ -23,6 +23,7 @@ def percentile(samples, percent):
     return samples[len(samples) * percent // 100]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("cell", "hosts", "at_rest", "within", "most"),
     [

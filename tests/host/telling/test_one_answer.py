@@ -70,6 +70,7 @@ class Telemetry:
         return None if value is None else Observation(value, self.clock.monotonic() - age)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("condition", CONDITIONS)
 async def test_a_query_from_outside_equals_that_of_the_program(team, /, condition):
     mission = team.mission(PROGRAM, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)

@@ -156,6 +156,7 @@ def test_lost_acknowledgement_repeats_the_command(bench):
     assert len(lost) >= 3
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("fault", ["corrupt=0.1", "duplicate=0.5", "reorder=0.3", "delay=0.2"])
 def test_flight_over_a_bad_radio_completes(bench, fault):
     b = bench(faults=(fault,))

@@ -68,7 +68,7 @@ def test_first_velocity_meets_its_ttl_on_a_link_with_losses(flown, flavour, kind
     assert sum(seconds > 0.35 for seconds in took) < 0.05 * CALLS
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("pause", [0.1, 0.2])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 @pytest.mark.parametrize("seed", range(1, SEEDS + 1))
@@ -90,7 +90,7 @@ def test_alternating_velocities_and_holds_meet_the_ttl_with_losses(flown, flavou
     flown(work, flavour=flavour, kind=kind, systems=(seed,), limits={"speed": 3.0})
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(1, SEEDS + 1))
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 def test_late_mode_acknowledgement_does_not_confirm_a_hold(flown, kind, seed):

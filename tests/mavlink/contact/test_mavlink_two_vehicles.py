@@ -102,6 +102,7 @@ def test_arming_is_refused_for_two_vehicles_on_one_port(bench, flavour):
     assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
 
 
+@pytest.mark.few(1)
 @BOTH
 def test_second_vehicle_is_ignored_while_the_first_flies(bench, flavour):
     b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
@@ -125,6 +126,7 @@ def test_second_vehicle_is_ignored_while_the_first_flies(bench, flavour):
     assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
 
 
+@pytest.mark.few(2)
 @BOTH
 @pytest.mark.parametrize("later", [False, True])
 def test_second_vehicle_does_not_replace_one_silent_in_flight(bench, flavour, later):
@@ -161,6 +163,7 @@ def test_second_vehicle_does_not_replace_one_silent_in_flight(bench, flavour, la
     assert any(SECOND in note and "ignored" in note for note in b.notes)
 
 
+@pytest.mark.few(2)
 @BOTH
 @pytest.mark.parametrize("head_start", [0.0, 0.5, 30.0])
 def test_arming_is_refused_for_two_vehicles_behind_a_router(bench, flavour, head_start):
@@ -328,7 +331,7 @@ async def test_vehicle_without_confirmed_board_after_a_loss_gets_no_command(b, f
     assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("kind", "autopilot"),
     [(6, 8), (18, 8), (18, 3), (6, 3), (2, 8), (0, 8), (34, 0), (27, 3), (42, 12), (5, 3), (2, 0), (0, 0)],

@@ -126,6 +126,7 @@ def test_fall_ends_on_the_ground():
 # -- on fakes -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("by", ["setVelocity", "setYawRate"])
 @on_bench("bench", ttl=1.0, given="flavour")
@@ -189,7 +190,7 @@ def test_fast_landing_by_parameter_causes_no_lock_out(bench, flavour, name, valu
     assert b.lock_outs == []
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("what", ["goTo", "yaw", "orbit", "hold", "setVelocity"])
 def test_slow_sinking_is_reported_as_a_fall_in_every_motion(bench, flavour, what, monkeypatch):

@@ -82,6 +82,7 @@ async def test_status_text_after_the_mode_change_is_awaited(b, fc, /):
         await fc.execute("orbit", [0.0, 0.0, -6.0, 12.0, 2.0, 3.0])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kept", ["texts", "heartbeats"])
 @on_bench("bench", flavour="px4", safe_state="hold")
 async def test_failsafe_in_the_same_hold_mode_is_detected(b, fc, /, kept):
@@ -103,6 +104,7 @@ async def test_failsafe_in_the_same_hold_mode_is_detected(b, fc, /, kept):
     await fc.execute("goTo", [0.0, 0.0, -6.0])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("action", "own"), [("hold", "hold"), ("return", "returnHome"), ("land", "land")])
 @on_bench("bench")
 async def test_ardupilot_fence_takes_control_in_the_mode_of_the_program(b, fc, /, action, own):

@@ -122,7 +122,7 @@ async def test_speed_limit_is_set_in_the_autopilot(b, fc, /):
     assert 1.8 < fastest <= 2.05
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(8))
 def test_flight_with_packet_loss_completes(bench, seed):
     # The system id seeds the losses.
@@ -436,6 +436,7 @@ def test_autopilot_without_message_intervals_gets_stream_requests(bench, monkeyp
 FENCED = {"FENCE_ENABLE": 1, "FENCE_TYPE": 3, "FENCE_RADIUS": 80.0, "FENCE_ALT_MAX": 30.0}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("options", "parameters", "expected"),
     [

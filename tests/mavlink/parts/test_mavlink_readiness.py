@@ -79,7 +79,7 @@ async def test_wait_ready_after_a_cold_start_ends_when_arming_works(b, fc, /, ki
     await fc.execute("arm", [])
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("after", [5.0, 15.0, 25.0, 33.0, 36.5])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 @on_bench("bench", warm_up=43.0, options={"connect": 45.0}, given="kind")
@@ -125,7 +125,7 @@ async def test_vehicle_without_contact_is_not_ready(b, fc, /):
     assert "no message for" in await fc.execute("whyNotReady", [])
 
 
-@pytest.mark.few(10)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("gap", [n * 0.02 for n in range(50)])
 def test_warm_copter_is_armed_directly_after_open(bench, gap):
     """As measured: its GCS failsafe is active, and ends up to 0.35 s after a heartbeat."""

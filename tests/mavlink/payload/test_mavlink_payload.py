@@ -172,6 +172,7 @@ async def test_reboot_ends_when_telemetry_is_set_up_again(b, fc, /):
         await fc.execute("reboot", [])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seconds", [2.0, 5.0])
 @pytest.mark.parametrize("answered", [True, False])
 def test_reboot_with_delay_or_lost_acknowledgement(bench, monkeypatch, seconds, answered):

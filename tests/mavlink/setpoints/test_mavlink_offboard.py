@@ -72,7 +72,7 @@ async def test_disabled_stick_override_is_no_takeover(b, fc, /):
     flight.cancel()
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("mode", ["AUTO.LOITER", "AUTO.RTL", "AUTO.LAND", "POSCTL.ORBIT"])
 @on_bench("px4")
 async def test_mode_change_by_another_station_is_a_takeover(b, fc, /, mode):
@@ -181,6 +181,7 @@ async def test_autonomous_px4_motion_needs_a_waiver(b, fc, /, what, values):
     assert b.autopilot.mode == "OFFBOARD"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "given", [{"waivers": ("device_watchdog", "autonomous_motion")}, {"safe_state": "return"}]
 )

@@ -267,7 +267,7 @@ async def test_refusal_text_counts_only_for_its_mode(b, fc, /, monkeypatch):
     assert asyncio.get_running_loop().time() - start < 1.5
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("delay", "stays_on", "note_count"),
     [(2.0, False, 0), (14.0, False, 1), (600.0, False, 1), (-1.0, True, 0)],
@@ -296,7 +296,7 @@ STOPS = {
 }
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("after", [0.02, 0.2, 4.0])
 @pytest.mark.parametrize("stop", STOPS)
 @on_bench("px4", safe_state="hold", ttl=2.0)

@@ -59,6 +59,7 @@ def test_flight_faster_than_commanded_is_corrected(bench):
     assert max(b.run(lambda fc: flown(b, fc, "copter"))) <= 3.0 * 1.02
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("speed", [2.0, 3.0])
 def test_rover_approaches_its_speed_without_overshoot(bench, speed):
     """A real rover drove 2.22 m/s for 2 m/s, and 3.44 m/s for 3 m/s."""
@@ -86,7 +87,7 @@ async def steady(b, task, seconds=8.0):
     return max(sum(speeds[n : n + 10]) / 10.0 for n in range(len(speeds) - 9))
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("limit", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_rover_drives_a_velocity_at_its_speed(bench, flavour, limit):

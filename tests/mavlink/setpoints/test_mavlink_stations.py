@@ -75,7 +75,7 @@ async def go(b, fc, way, flies):
     return asyncio.create_task(on())
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("station", [False, True], ids=["alone", "beside QGroundControl"])
 @pytest.mark.parametrize("state", ["land", "hold", "return"])
 @pytest.mark.parametrize("way", ["goTo", "velocity", "hover", "orbit"])
@@ -149,6 +149,7 @@ async def test_pilot_mode_continues_without_the_station(b, fc, /):
     assert b.autopilot.critical, "it has detected the loss"
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
 @on_bench("bench", waivers=("device_watchdog",), given="flavour kind")
 async def test_restarted_guard_does_not_delay_the_failsafe(b, fc, /, flavour, kind):

@@ -71,6 +71,7 @@ def seconds_until_received(fleet: Fleet) -> float:
     return fleet.now - back
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("seconds", [1.0, 5.0, 15.0, 30.0])
 def test_traffic_resumes_within_a_second_of_the_return_of_the_path(tmp_path, seconds, seed):

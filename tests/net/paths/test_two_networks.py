@@ -34,6 +34,7 @@ def net(request, tmp_path) -> Iterator[TwoNetworks]:
         made.close()
 
 
+@pytest.mark.few(0)
 def test_hops_continue_over_the_other_network_and_are_executed_once(net):
     for host in HOSTS:
         net.start(host)

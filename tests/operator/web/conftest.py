@@ -79,3 +79,18 @@ def page(browser: Browser, page_of: Callable[..., Page]) -> Page:
     browser.open(opened.link)
     opened.line()
     return opened
+
+
+@pytest.fixture(scope="module")
+def _one_page() -> Iterator[Page]:
+    made = Page()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def shared_page(browser: Browser, _one_page: Page) -> Page:
+    """A page for all tests of a file whose changes do not affect one another; the browser opens it again."""
+    browser.open(_one_page.link)
+    _one_page.link = _one_page.line()
+    return _one_page

@@ -16,7 +16,7 @@ from lfield.wire.fields import MAX_INPUT
 pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process, pytest.mark.long]
 
 
-def test_two_copters_move_on_the_page(browser, page):
+def test_two_copters_move_on_the_page(browser, shared_page):
     for agent in ("lead", "wing"):
         row, marker = (
             browser.text(f"place-{agent}"),
@@ -68,10 +68,10 @@ def test_the_page_contacts_only_its_own_server(browser, page_of):
     assert browser.errors == []
 
 
-def test_a_delayed_start_names_hosts_reasons_and_bundles(browser, page):
+def test_a_delayed_start_names_hosts_reasons_and_bundles(browser, shared_page):
     browser.says("host-alpha", "bundle 5cde09b1f2a37c44")
     reason = "alpha runs bundle 5cde09b1f2a37c44 and carol runs bundle 77aa0c31d5e8b902"
-    page.do(f"refuse carol {reason}")
+    shared_page.do(f"refuse carol {reason}")
     browser.says("host-alpha", "start waits for carol")
     browser.says("host-alpha", f"no link with carol: {reason}")
     assert browser.errors == []
@@ -190,7 +190,7 @@ def test_the_page_is_operable_by_keyboard_alone(browser, page):
     assert "stop" in observed, "it goes round, and there is no trap"
 
 
-def test_an_invalid_query_is_answered_with_its_mistakes(browser, page):
+def test_an_invalid_query_is_answered_with_its_mistakes(browser, shared_page):
     browser.thing("query").send_keys("Lift whree payload", Keys.ENTER)
     browser.says("answer", 'nobody knows what "Lift whree payload" is')
 
@@ -242,8 +242,8 @@ return document.querySelector(".map").clientHeight - place;
             assert browser.driver.execute_script(low) >= 33
 
 
-def test_printed_text_is_shown_and_never_executed(browser, page):
-    page.do("say alpha <img src=x onerror=document.title='run'> {{ 6 * 7 }}")
+def test_printed_text_is_shown_and_never_executed(browser, shared_page):
+    shared_page.do("say alpha <img src=x onerror=document.title='run'> {{ 6 * 7 }}")
     browser.says("log", "<img src=x onerror=document.title='run'> {{ 6 * 7 }}")
     assert browser.driver.title == "first-flight"
 

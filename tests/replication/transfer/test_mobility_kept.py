@@ -132,6 +132,7 @@ def test_a_restarted_host_that_ignores_a_failover_is_found():
         explored(Declared, IgnoresRecoveries, examples=400, shrink=False)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("machine", [SentTransferNotOnDisk, AdmissionNotOnDisk])
 def test_a_host_that_stores_too_little_is_found(machine):
     with pytest.raises(AssertionError):

@@ -198,6 +198,7 @@ class AdmitsRepeatedTransfers(Mobility):
         return super().on_transfer(host, header, block, inject)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("machine", "words"),
     [(ResumesAfterSending, "2 live copies"), (AdmitsRepeatedTransfers, "injected 2 times")],

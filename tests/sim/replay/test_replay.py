@@ -21,7 +21,7 @@ def verdict(name: str) -> Verdict:
     return replay.verdict(name, load())
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", names())
 def test_fake_acts_like_the_recorded_autopilot(name):
     found = verdict(name)

@@ -17,7 +17,7 @@ from simulation_testing.seed_runner import first_broken, run_seed
 EVERY = [*BUGS, *QUORUM_BUGS, *TOGETHER_BUGS, *FUTURE_BUGS, *RESERVE_BUGS, *ORDER_BUGS, *TERMINATED_BUGS]
 
 
-@pytest.mark.few(12)
+@pytest.mark.few(8)
 @pytest.mark.parametrize("bug", EVERY, ids=lambda bug: bug.name)
 def test_a_planted_bug_is_found(
     bug: Bug, monkeypatch: pytest.MonkeyPatch, record_property: Callable[[str, str], None]

@@ -19,7 +19,7 @@ def test_without_faults_each_start_is_made_once(tmp_path: Path, home: str, keeps
     assert team.count("patrol has been everywhere") == 2
 
 
-@pytest.mark.few(12)
+@pytest.mark.few(6)
 @pytest.mark.parametrize("seed", range(40))
 def test_starts_are_made_once_despite_crashes_and_broken_links(tmp_path: Path, seed: int) -> None:
     run_story(tmp_path, seed)

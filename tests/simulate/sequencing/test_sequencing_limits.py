@@ -178,6 +178,7 @@ def test_a_limit_around_a_start_that_was_made_throws_after_a_long_restart(team) 
     assert (count_logged(fleet, "boss: limit: "), count_logged(fleet, "boss: went on")) == (1, 0), fleet.log
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_started_coordinator_is_recovered_and_can_be_stopped_and_started_again(team, seed: int) -> None:
     boss = 'start("patrol", 9.0); sleep(40.0); stop("patrol", 30.0); print(awaitEnd("patrol", 9.0));'

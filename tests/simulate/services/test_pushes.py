@@ -18,7 +18,7 @@ from simulation_testing.services.push_story import KINDS, PushStory, draw_push_s
 CASE = 6
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, 120, CASE))
 def test_pushes_keep_every_promise(first: int) -> None:
     counts = Counter[str]()
@@ -39,9 +39,11 @@ def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
     assert {len(story.steps) for story in stories} == {1, 2, 3}
 
 
+@pytest.mark.few(0)
 def test_the_same_seed_gives_the_same_run() -> None:
-    assert run_push_seed(3).digest == run_push_seed(3).digest
-    assert run_push_seed(3).digest != run_push_seed(4).digest
+    digest = run_push_seed(3).digest
+    assert digest == run_push_seed(3).digest
+    assert digest != run_push_seed(4).digest
 
 
 @pytest.mark.few(0)

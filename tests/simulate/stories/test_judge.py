@@ -44,6 +44,7 @@ def test_scenarios_with_all_kinds_of_faults_keep_every_promise(first: int) -> No
     assert restarts > 0
 
 
+@pytest.mark.few(0)
 def test_crew_scenarios_keep_every_promise() -> None:
     calls = recovered = 0
     for seed in range(8):

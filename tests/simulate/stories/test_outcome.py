@@ -15,6 +15,7 @@ from simulation_testing.command_line import main
 from simulation_testing.seed_runner import SeedTally, run_seed
 
 
+@pytest.mark.few(0)
 def test_a_changed_log_line_changes_the_digest_and_not_the_outcome(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -25,6 +26,7 @@ def test_a_changed_log_line_changes_the_digest_and_not_the_outcome(
     assert after.outcome == before.outcome
 
 
+@pytest.mark.few(0)
 def test_changed_behaviour_changes_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     before = run_seed(11)
 
@@ -35,6 +37,7 @@ def test_changed_behaviour_changes_the_outcome(monkeypatch: pytest.MonkeyPatch) 
     assert run_seed(11).outcome != before.outcome
 
 
+@pytest.mark.few(0)
 def test_a_scenario_with_orders_is_the_same_at_other_memory_addresses() -> None:
     """The tasks of the operator are cancelled in the order of their start."""
     kept: list[object] = []

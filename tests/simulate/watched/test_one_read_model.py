@@ -67,6 +67,7 @@ def boot(fleet: Fleet, watcher: EventWatcher) -> None:
     fleet.boot("beta")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("steps", [(stop, lift), (pause, stop), (crash, boot)])
 def test_events_lead_to_the_state_of_a_snapshot(
     tmp_path: Path, steps: Sequence[Callable[[Fleet, EventWatcher], None]]

@@ -131,6 +131,7 @@ def test_live_attributes_are_those_of_the_double(tmp_path: Path, battery: object
     assert team.said("sky shall lift") == (battery != 0.2)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("message", "words"),
     [

@@ -26,6 +26,7 @@ def test_edge_cases_give_the_same_bits(name: str, lowered: Lowered) -> None:
     assert differing(lowered, name, single if arity(name) == 1 else pairs) == []
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("name", MATHS)
 def test_random_arguments_give_the_same_bits(name: str, lowered: Lowered) -> None:
     """`tests/vm/maths/maths_many.py` compares millions."""

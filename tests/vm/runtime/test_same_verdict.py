@@ -286,7 +286,7 @@ def test_valid_texts_are_the_same(raw: bytes, length: int, words: int) -> None:
     assert (first == "") == sound
 
 
-@pytest.mark.few(16)
+@pytest.mark.few(8)
 @pytest.mark.parametrize("lead", range(0x80, 0x100))
 def test_every_lead_and_second_byte_of_text_gives_the_same_verdict(lead: int) -> None:
     for second in range(0x100):

@@ -153,6 +153,7 @@ def test_an_answer_for_a_thread_that_is_no_more_is_dropped() -> None:
     assert not yard.crane.ended
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("tidy", [0.0, 3.0])
 def test_a_portal_that_never_waits_is_ended(tidy: float) -> None:
     yard = Yard("c.deaf();", tidy=tidy)

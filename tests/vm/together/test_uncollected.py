@@ -81,7 +81,7 @@ def travelled(seed: int, packet: int) -> tuple[list[str], int, int, int]:
     return joined.printed, left, same, largest
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("first", range(0, 20, 5))
 def test_it_arrives_wherever_it_stood_and_whatever_it_has_left_behind(first: int) -> None:
     hops = uncollected = 0

@@ -78,6 +78,7 @@ def test_cached_code_is_found_again(cached: Path, monkeypatch: pytest.MonkeyPatc
     assert notes == []
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty", "other"])
 def test_damaged_code_is_compiled_again_with_one_line(cached: Path, damage: str) -> None:
     notes: list[str] = []
@@ -117,6 +118,7 @@ def test_a_service_has_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     assert code_folder() == Path("/var/cache/lfield/code")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["file", "x" * 300, "file/below", "loop"])
 def test_without_a_cache_folder_everything_is_compiled(
     cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str

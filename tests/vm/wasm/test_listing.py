@@ -33,6 +33,7 @@ PROGRAM = compile_text(
 )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["02-equivalent-lift", "05-two-carry-one", "15-tuple-space"])
 def test_the_listing_is_the_executed_module(name: str) -> None:
     (path,) = (EXAMPLES / name).glob("*.dL")

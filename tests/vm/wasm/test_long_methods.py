@@ -92,7 +92,7 @@ def _ways_out(text: str) -> int:
     return max((f.count("br $exit") + f.count("$spill") for f in functions), default=0)
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_work_is_linear_in_the_length_of_the_code(shape, steps):
     short, long = (_prepared(_program(SHAPES[shape](n))) for n in (60, 600))
@@ -104,6 +104,7 @@ def test_the_work_is_linear_in_the_length_of_the_code(shape, steps):
     assert _ways_out(texts[1]) < 5
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_long_method_has_the_same_effect(shape, monkeypatch):
     text = _program(SHAPES[shape](40))
@@ -126,6 +127,7 @@ def test_every_path_through_a_long_method_has_points() -> None:
     assert len(points) > 2 * 600 // control_flow_graph.STRETCH
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("count", [PARAMETERS - 1, PARAMETERS, PARAMETERS + 200])
 def test_parameters_beyond_the_limit_of_webassembly_are_in_the_frame(count: int) -> None:
     takes = ", ".join(f"int p{i}" for i in range(count))

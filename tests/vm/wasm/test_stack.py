@@ -147,7 +147,7 @@ def test_a_method_of_few_slots_and_many_products_has_the_same_effect() -> None:
     assert _run(text, Engine, AgentLimits()) == _run(text, Reference, AgentLimits())
 
 
-@pytest.mark.few(12)
+@pytest.mark.few(6)
 @pytest.mark.parametrize("again", AGAIN.values(), ids=AGAIN)
 @pytest.mark.parametrize("body", SHAPES.values(), ids=SHAPES)
 def test_half_of_the_stack_is_in_reserve(body: str, again: str, with_half: Callable[[], None]) -> None:

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 from client_pages import assistant_command, program_of_page
-from mcp.client.session import ClientSession
-from mcp.client.stdio import StdioServerParameters, stdio_client
 
 from lfield.authority.identity import Right
 from lfield.client import connect
@@ -94,6 +92,9 @@ def assistant(lfield, alone):
 
     With `last` the session ends when that has returned, while a portal runs.
     """
+    from mcp.client.session import ClientSession
+    from mcp.client.stdio import StdioServerParameters, stdio_client
+
     command, arguments = assistant_command()
     environment = {**lfield.environment, **alone}
     environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
