@@ -90,6 +90,6 @@ FIGURE = Figure(
     targets={QUORUM: f"{INTERVAL + LEASES:g} s"},
     notes=(
         "self: nearly all of the time is the start of Python",
-        f"quorum: {INTERVAL:g} s of silence, 0.75 s at most for the query, 2.06 s until the leases of 2 s end",
+        f"quorum: {INTERVAL:g} s of silence, 0.75 s at most for the query, 2.06 s until leases of 2 s end",
     ),
 )
