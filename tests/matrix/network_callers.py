@@ -225,7 +225,7 @@ class Network:
             assert asyncio.run(self._try_at_socket(user, "ps", role)) == (role != "host")
 
     def tried_on_a_link(self, who: str, what: str) -> bool:
-        """Whether a host accepted the action on a link whose peer certificate expired or was revoked later."""
+        """Whether a host accepted the action on a link whose certificate expired or was revoked later."""
         kind, event, state = who.split("_")
         caller = self.open_link_callers[kind, event]
         fate = LinkFate(event == "ended", flies=state == "flies")
