@@ -1,4 +1,4 @@
-"""The counts of a hop: moves, returns, and that a hop is recorded completely."""
+"""The counts of a hop: moves and returns, and the complete recording of a hop."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_hop_is_recorded_from_the_departure_to_the_portal(tmp_path: Path):
 
 @pytest.mark.parametrize("journals", ["no", "yes"])
 def test_hop_takes_no_more_calls_than_before(journals: str):
-    """Write lower figures into the file by hand. Counts over TCP depend on the load of the computer."""
+    """Lower counts are entered in figures.tsv by hand. Counts over TCP depend on the computer's load."""
     most = FIGURES["simulated", journals]
     walk = shortest(simulated=True, journals=journals == "yes")
     if journals == "no":

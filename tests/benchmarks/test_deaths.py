@@ -60,7 +60,7 @@ def test_log_is_read_as_it_grows(tmp_path):
     path = tmp_path / "device.log"
     path.write_text("1.5 1 mode=LAND\n2.5 1 arm")
     log = DeviceLog(path)
-    assert (log.forget(), log.changes) == ({"mode": "LAND"}, [])
+    assert (log.mark_start(), log.changes) == ({"mode": "LAND"}, [])
     with path.open("a") as file:
         file.write("ed=no\n")
     log.read()
@@ -86,9 +86,9 @@ def test_failed_trials_are_reported_and_counted():
 @pytest.mark.process
 @pytest.mark.timeout(400)
 def test_servo_stops_after_failures_of_host_and_guard():
-    """The other failures: `make bench ONLY=deaths`."""
+    """Two of the failures; `make bench ONLY=deaths` runs all."""
     with Processes() as processes:
-        # A silence that any computer can keep.
+        # A bound of silence that a busy computer can keep.
         fleet = Fleet(Checkout.own(), processes, [SERVO], 2, [0.9])
         outcomes = next(fleet.round(len(DEATHS) - 1, 0.9))
     assert [(outcome.death, outcome.why) for outcome in outcomes] == [

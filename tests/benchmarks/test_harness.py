@@ -27,11 +27,11 @@ THERE = Checkout(Path("/there"), sys.executable)
 
 
 def silent(text: str) -> None:
-    """Nobody is told."""
+    """Ignore the progress."""
 
 
 def giving(*seconds):
-    """Opens a contender that gives the same in each round."""
+    """An opener of a contender with the same samples in each round."""
     return lambda checkout, processes: lambda: {"case": seconds}
 
 
@@ -80,7 +80,7 @@ def test_row_has_minimum_median_and_maximum():
 
 
 def test_ratio_is_of_rounds_that_were_measured_together():
-    # The second round was made under load, for both.
+    # The second round was under load for both.
     assert pair_ratios([[1.1], [11.0]], [[1.0], [10.0]]) == pytest.approx([1.1, 1.1])
 
 
@@ -126,7 +126,7 @@ def test_sizes_may_be_contenders_or_parts_of_a_case():
     assert (a.case, b.case) == ("ten times the size: a", "ten times the size: b")
 
 
-#: In a process of its own: rooms of the benchmarks have names that files of other tests have.
+#: Runs in its own process: modules of the benchmarks have the same names as modules of other tests.
 _SIZES = """
 from importlib import import_module
 from run import FIGURES
@@ -138,12 +138,12 @@ for name, module in FIGURES.items():
 
 def test_every_figure_has_sizes_or_a_reason_for_none():
     command = [sys.executable, "-c", _SIZES]
-    said = subprocess.run(
+    output = subprocess.run(
         command, cwd=Path(__file__).parent, check=True, capture_output=True, text=True
     ).stdout
-    told = {name: tuple(map(int, rest)) for name, *rest in map(str.split, said.splitlines())}
-    assert told.keys() == FIGURES.keys()
-    assert {name: one for name, one in told.items() if one[0] != 1 or one[1] == 1} == {}
+    has_size = {name: tuple(map(int, rest)) for name, *rest in map(str.split, output.splitlines())}
+    assert has_size.keys() == FIGURES.keys()
+    assert {name: one for name, one in has_size.items() if one[0] != 1 or one[1] == 1} == {}
 
 
 def test_custom_rows_of_a_figure_have_growths():
@@ -151,12 +151,12 @@ def test_custom_rows_of_a_figure_have_growths():
         for count in (1, 10):
             yield Row(f"{count} cats: fed", "a", samples=[1.0 * count])
             yield Row("", "b", samples=[5.0 / count])
-        yield Row("10 cats: sold", "a", error="nobody came")
+        yield Row("10 cats: sold", "a", error="no buyer")
 
     figure = Figure("", {}, own_rows=own, sizes={"1 cats": 1, "10 cats": 10})
     *rows, lost, a, b = rows_of(figure, HERE, silent)
     assert [row.size for row in rows] == [1, 1, 10, 10]
-    assert (lost.error, a.case, b.case) == ("nobody came", "ten times the size: fed", "")
+    assert (lost.error, a.case, b.case) == ("no buyer", "ten times the size: fed", "")
     assert [*a.samples, *b.samples] == pytest.approx([10.0, 0.1])
 
 
@@ -256,12 +256,12 @@ def test_two_checkouts_are_compared_round_by_round():
 def test_case_of_only_one_checkout_is_reported():
     def opener(checkout, processes):
         if checkout is THERE:
-            raise OSError("never heard of it")
+            raise OSError("unknown figure")
         return lambda: {"case": [1.0]}
 
     this, lost = rows_between(Figure("", {"a": opener}, rounds=1, between=("a",)), HERE, THERE, 1, silent)
     assert this.measured == "this"
-    assert (lost.measured, lost.error) == ("other", "OSError: never heard of it")
+    assert (lost.measured, lost.error) == ("other", "OSError: unknown figure")
 
 
 def test_checkout_without_an_environment_is_an_error(bench, tmp_path, capsys):
@@ -294,12 +294,12 @@ def test_self_measuring_process_is_stopped_between_its_rounds():
     with Processes() as processes:
         child = processes.start(sys.executable, "-c", loop)
         paced = Paced([child])
-        # A signal is on its way until its process has had the processor.
+        # A signal takes effect when its process is scheduled.
         end = time.monotonic() + 60.0
         while state_of(child.pid) != "T":
             assert time.monotonic() < end
             time.sleep(0.01)
-        # The first round has warmed it up.
+        # The first round was the warm-up.
         assert paced() == {"a": [1.0, 0.5]}
         assert paced() == {"a": [2.0, 0.5]}
     with pytest.raises(ProcessLookupError):

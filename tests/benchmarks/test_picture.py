@@ -1,4 +1,4 @@
-"""The picture of the figures: its content, and that the one in the documents is made from the saved rows."""
+"""The picture of the figures: its content, and its copy in the documentation matches the saved rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figure of poor radio from the output lines of its processes, without a radio."""
+"""The lanes of the figure of poor radio, from the output lines of their processes, without a radio."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from radio.radio_lanes import Lane, StopLane, collect, outages
 
 
 class Printing:
-    """A child that prints these lines, one for each look."""
+    """A child that prints one of these lines at each poll."""
 
     def __init__(self, *lines):
         self._lines = iter(lines)
@@ -22,13 +22,13 @@ class Printing:
 
 
 class Air:
-    """A radio whose counts are given."""
+    """A radio with given counts."""
 
     def __init__(self, *sizes):
         self._sizes = iter(sizes)
 
     def set(self, cell):
-        """Any cell."""
+        """Accept any cell."""
 
     def reset(self):
         """Do nothing: the counts are fixed."""
@@ -60,7 +60,7 @@ def test_bytes_of_a_stop_exclude_the_traffic_at_rest(monkeypatch):
     for line in lines:
         lane.child = Printing(line)
         lane.read_output()
-    # 100 bytes within 2 s at rest; 400 within the 4 s of the stop, half of which would have been sent anyway.
+    # 100 bytes in 2 s at rest; 400 in the 4 s of the stop, of which 200 are the traffic at rest.
     assert (lane.idle, lane.sizes) == ([50.0], [200.0])
     assert lane.again == ["again: not reached"]
 

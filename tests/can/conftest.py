@@ -28,7 +28,7 @@ class MemoryBus:
     def join(
         self, endpoint: str, received: Callable[[Frame], None], note: Callable[[str], None], wire_log: Any
     ) -> Any:
-        """The bus, in place of the one that the driver would make."""
+        """Use this bus instead of the driver's."""
         self.received = received
         return self
 
@@ -52,7 +52,7 @@ class MemoryBus:
         self.device(frame)
 
     def say(self, identifier: int, data: bytes, *, extended: bool = False) -> None:
-        """A frame from the device."""
+        """Send a frame of the device."""
         if not self.cut:
             self.received(Frame(identifier, data, extended))
 

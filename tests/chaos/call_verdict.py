@@ -1,4 +1,4 @@
-"""Judges the output: which calls were served, which may have been, and which missions are complete."""
+"""Verdict on the output of hosts: served calls, possibly served calls, and complete missions."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-#: Part of the exception's message when a majority continued with a coordinator whose host was not heard.
+#: Part of the exception's message after a majority has recovered a coordinator of a silent host.
 RECOVERED = "was recovered on"
 
 
 @dataclass
 class CallVerdict:
-    """One round. `walkers` are those that were started, each with the number of its stamps.
+    """The verdict on one round. `walkers` has the number of stamps of each started walker.
 
-    A walker has another number, its life, after it was informed of a possible call. A walker that
-    was *recovered* continues from an earlier state and is informed: repetitions from there are no breach.
+    The life number of a walker changes after a report of a possible call. A *recovered* walker continues from
+    an earlier state after such a report: repetitions from there are no breach.
     """
 
     walkers: Mapping[str, int]
@@ -38,7 +38,7 @@ class CallVerdict:
     _last: dict[str, float] = field(default_factory=dict)
 
     def on_line(self, line: str, host: str = "", now: float = 0.0) -> None:
-        """A line of a host, at a time in seconds."""
+        """Evaluate an output line of a host, at a time in seconds."""
         self.tracebacks += line.startswith("Traceback ")
         match line.split(maxsplit=4):
             case ["stamped", who, life, number]:
@@ -67,17 +67,17 @@ class CallVerdict:
 
     @property
     def under_way(self) -> bool:
-        """Whether all have had a number stamped."""
+        """True if every walker has a first stamp."""
         return self.walkers.keys() <= {who for who, _ in self.served}
 
     @property
     def complete(self) -> bool:
-        """Whether all have finished."""
+        """True if every walker has finished."""
         return self.walkers.keys() <= self.walked.keys()
 
     @property
     def skipped(self) -> list[tuple[str, int]]:
-        """Calls that were not served although their caller continued without being informed."""
+        """Calls that were not served although their caller continued without a report."""
         known = self.served.keys() | self.perhaps
         found = []
         for who, numbers in self.walkers.items():

@@ -1,4 +1,4 @@
-"""Draws faults from a seed and injects them into a team: each is healed after a while, and all at the end."""
+"""Draws faults from a seed and injects them into a team: each is healed after a delay, and all at the end."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from small_disk import Disk
 
 #: Seconds between two faults, and the duration of each.
 BETWEEN, LASTS = (0.3, 2.5), (0.1, 4.0)
-#: Duration of others: long enough that a majority continues without that host.
+#: Duration of long faults: a majority continues without the host.
 LONG = (4.0, 12.0)
 #: Relative frequency of each kind.
 SHORT_KINDS = {"kill": 6, "kill all": 1, "stop": 3, "cut": 4, "silent": 2, "full disk": 2}
 LONG_KINDS = {"kill for good": 2, "stop the holder": 2, "cut off": 2}
 KINDS = {**SHORT_KINDS, **LONG_KINDS}
-#: Only with routers.
+#: Faults of routers.
 ROUTER_KINDS = {"kill router": 3}
 
 
@@ -45,7 +45,7 @@ class FaultStorm:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
-        """One fault after another, until this is cancelled."""
+        """Inject faults in sequence until cancelled."""
         while True:
             await asyncio.sleep(self._rng.uniform(*BETWEEN))
             kind = self._rng.choices(list(self._kinds), list(self._kinds.values()))[0]
@@ -70,7 +70,7 @@ class FaultStorm:
         for disk in self._disks:
             disk.free()
         for host in self._hosts:
-            host.go_on()
+            host.resume()
             host.start()
 
     async def _happen(self, kind: str, first: int, second: int, seconds: float) -> None:
@@ -107,7 +107,7 @@ class FaultStorm:
             self.faults[kind] += 1
             host.stop()
             await asyncio.sleep(seconds)
-            host.go_on()
+            host.resume()
 
     async def _kill_router(self, router: RouterProcess, seconds: float) -> None:
         self.faults["kill router"] += 1

@@ -19,7 +19,7 @@ GOES_ON = ("resumed from the journal", " restarted: ")
 
 
 class HostProcess:
-    """One host of the team, in all its lives. `command` starts it; `on_line` receives each of its lines."""
+    """One host of the team, with all its restarts. `command` starts it; `on_line` receives its output."""
 
     def __init__(self, name: str, command: Sequence[str], log: Path, on_line: Callable[[str], None]) -> None:
         self.name, self._command, self._on_line = name, command, on_line
@@ -28,38 +28,38 @@ class HostProcess:
         self._started_at = 0.0
         self._should_run = False
         self._life: asyncio.Task[None] | None = None
-        #: Exit statuses of lives that it ended by itself.
+        #: Exit statuses of processes that ended without a signal of the test.
         self.gave_up: list[int] = []
         #: Seconds from the start of a process until a coordinator of its journal ran again.
         self.recoveries: list[float] = []
 
     @property
     def runs(self) -> bool:
-        """Whether there is a process now."""
+        """True while the process runs."""
         return self._process is not None and self._process.returncode is None
 
     def start(self) -> None:
-        """Run it, with restarts, until it is killed."""
+        """Run the host, with restarts, until it is killed."""
         if not self._should_run:
             self._should_run = True
             self._life = asyncio.ensure_future(self._live())
 
     async def kill(self) -> None:
-        """SIGKILL: it prints, writes and closes nothing any more."""
+        """Send SIGKILL: the host ends without output or cleanup."""
         self._should_run = False
         self._send(signal.SIGKILL)
         await self._gone()
 
     def stop(self) -> None:
-        """SIGSTOP."""
+        """Send SIGSTOP."""
         self._send(signal.SIGSTOP)
 
-    def go_on(self) -> None:
-        """SIGCONT."""
+    def resume(self) -> None:
+        """Send SIGCONT."""
         self._send(signal.SIGCONT)
 
     async def end(self) -> bool:
-        """SIGTERM; whether it ended in time, and with status 0."""
+        """Send SIGTERM; returns true if the host ends in time with status 0."""
         self._should_run = False
         self._send(signal.SIGTERM)
         try:

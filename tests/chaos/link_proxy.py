@@ -1,4 +1,4 @@
-"""The links of a team go through this proxy: they are cut, or stalled, and healed; one per direction."""
+"""A proxy for the links of a team that cuts, stalls and heals them; one for each direction."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from contextlib import suppress
 
 
 class LinkProxy:
-    """The connection of one host to another: a port of this process, and the other host's own behind it."""
+    """A connection from one host to another: a port of this process that forwards to the other host."""
 
     def __init__(self, target: int) -> None:
         self._target = target
         self._writers: set[asyncio.StreamWriter] = set()
         self._server: asyncio.Server | None = None
-        #: No connection gets through, and existing ones do not continue.
+        #: New connections are refused, and existing ones are stalled.
         self._is_cut = False
         self._flows = asyncio.Event()
         self._flows.set()
@@ -24,22 +24,22 @@ class LinkProxy:
         return int(self._server.sockets[0].getsockname()[1])
 
     def cut(self) -> None:
-        """Break it: connections are reset, and new ones are too."""
+        """Cut the link: existing and new connections are reset."""
         self._is_cut = True
         for writer in list(self._writers):
             writer.transport.abort()
 
     def silence(self) -> None:
-        """Hold back all bytes, both ways; connections stay."""
+        """Hold back all bytes in both directions; connections stay open."""
         self._flows.clear()
 
     def heal(self) -> None:
-        """Let everything through again, held bytes first."""
+        """Forward all bytes again, held bytes first."""
         self._is_cut = False
         self._flows.set()
 
     async def close(self) -> None:
-        """Break it permanently."""
+        """Cut the link permanently."""
         self.cut()
         self._flows.set()
         if self._server is not None:

@@ -1,7 +1,7 @@
-"""How the hosts of a round reach one another: over TCP, or over two linked routers of Zenoh.
+"""The networks of a round: TCP, or two linked Zenoh routers.
 
-All connections go through a `LinkProxy`: that of a pair of hosts over TCP, that of a host to its router over
-Zenoh. `--map` names addresses, an inventory the routers.
+Every connection of two hosts over TCP, or of a host and its router over Zenoh, goes through a `LinkProxy`.
+`--map` names addresses, an inventory the routers.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from pathlib import Path
 
 from link_proxy import LinkProxy
 
-#: The program of a router, from the tests of the transport.
+#: The router program of the transport's tests.
 ROUTER = Path(__file__).parents[1] / "net" / "zenoh" / "router_process.py"
 
 
 class TcpNetwork:
-    """Every host calls every other host; one proxy for each direction."""
+    """Every host connects to every other host; one proxy for each direction."""
 
     def __init__(self, hosts: int) -> None:
         self._ports = free_ports(hosts)
@@ -58,7 +58,7 @@ class TcpNetwork:
 
 
 class RouterProcess:
-    """A router that is killed and restarted at its port."""
+    """A router that can be killed and restarted at its port."""
 
     def __init__(self, port: int, *connect: int) -> None:
         endpoints = [f"tcp/127.0.0.1:{each}" for each in (port, *connect)]
@@ -66,13 +66,13 @@ class RouterProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start it; hosts retry until it listens."""
+        """Start the router; hosts retry until it listens."""
         if self._process is None:
             quiet = subprocess.DEVNULL
             self._process = subprocess.Popen(self._command, stdout=quiet, stderr=quiet)
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the router."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -82,7 +82,7 @@ class RouterProcess:
 class RouterNetwork:
     """Two linked routers, each with half of the hosts; one proxy between each host and its router.
 
-    Two hosts cannot be disconnected from each other alone: both lose their router.
+    A pair of hosts cannot be disconnected separately: both lose their router.
     """
 
     def __init__(self, hosts: int, folder: Path) -> None:
@@ -126,7 +126,7 @@ class RouterNetwork:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports of loopback without a listener, below those that the system gives to callers."""
+    """Loopback ports without a listener, below the system's range for outgoing connections."""
     found: list[int] = []
     while len(found) < count:
         port = random.SystemRandom().randrange(20000, 32000)

@@ -1,13 +1,13 @@
-"""Real processes under faults, judged by the calls that the resources have served.
+"""Real processes under faults; the verdict is based on the calls that the resources have served.
 
     make chaos SECONDS=120            python tests/chaos/run.py --seconds 120 --seed 7
     make chaos OVER=zenoh             the same over two linked routers, which are killed too
 
-Rounds, each a team of four hosts with a journal each and four walkers (walkers.L), two of which are recovered
-by a majority. Hosts are killed, stopped and isolated, some long enough for a recovery, and
-their disks are filled; then all is healed, and every walker must complete within a bound. Ends with 1 if a
-call was served twice, for an outdated walker, or skipped silently, or a mission is incomplete;
-the folder with the output of all hosts is named. A seed gives the same faults, though not the same run.
+Each round has a team of four hosts with journals and four walkers (walkers.L), two of which a majority
+recovers. Hosts are killed, stopped and isolated, some long enough for a recovery, and their disks are
+filled; then all faults are healed, and every walker must complete within a bound. The exit status is 1 if a
+call was served twice, was served for an outdated walker, or was skipped silently, or if a mission is
+incomplete; the folder with the output of all hosts is printed. A seed repeats the faults, not their timing.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from lfield.testing.keyring import Keyring
 
 PROGRAM = Path(__file__).with_name("walkers.L")
 HOSTS, NUMBERS = 4, 150
-#: Walkers that wait for their host, and those that are recovered; each begins on another host.
+#: Walkers that wait for their host, and recovered walkers; each starts on another host.
 WALKERS, FENCED = ("w0", "w1"), ("f2", "f3")
-#: An isolated walker soon calls its present host again, and must not while it has no lease.
+#: A short period: an isolated walker soon calls its current host again, which it must not do without a lease.
 IMPATIENT = ("--unreachable-after", "2")
-#: Seconds of faults in a round; then all must be complete within the bound.
+#: Seconds of faults in a round, and the bound for completion after them.
 STORM, BOUND = 30.0, 60.0
 
 
 class Round:
-    """One team, from its first start to its end."""
+    """One round: a team from its start to its end."""
 
     def __init__(self, bundle: Path, folder: Path, seed: int, *, over_zenoh: bool) -> None:
         self._over_zenoh = over_zenoh
@@ -59,12 +59,12 @@ class Round:
         self.disks = [Disk(folder / f"disk{number}") for number in range(HOSTS)]
         self.hosts: list[HostProcess] = []
         self.faults: Counter[str] = Counter()
-        #: Seconds from the last fault until all were complete.
+        #: Seconds from the last fault until all walkers were complete.
         self.healed_after = 0.0
         self.wrong: list[str] = []
 
     async def run(self) -> None:
-        """Run the round; breaches are in `wrong`."""
+        """Run the round; `wrong` has its breaches."""
         network = RouterNetwork(HOSTS, self._folder) if self._over_zenoh else TcpNetwork(HOSTS)
         await network.open()
         self.hosts = [self._host(number, network.options(number)) for number in range(HOSTS)]
@@ -93,7 +93,7 @@ class Round:
         self.verdict.on_line(line, host, time.monotonic())
 
     def _holder(self) -> int:
-        """The host of a walker that may be recovered and is not complete."""
+        """The host of an incomplete walker that can be recovered."""
         under_way = [who for who in FENCED if who not in self.verdict.walked and who in self.verdict.where]
         if not under_way:
             return -1
@@ -113,7 +113,7 @@ class Round:
         self.faults = storm.faults
 
     async def _wait_until(self, is_so: Callable[[], bool], bound: float) -> None:
-        """Wait until a condition holds, for at most this many seconds."""
+        """Wait until a condition holds, at most `seconds`."""
         end = time.monotonic() + bound
         while not is_so() and time.monotonic() < end:
             await asyncio.sleep(0.1)
@@ -181,7 +181,7 @@ def say_times(title: str, what: str, seconds: Sequence[float]) -> None:
 
 
 async def rounds_for(seconds: float, seed: int, folder: Path, *, over_zenoh: bool) -> list[Round]:
-    """One round after another, until the time is over."""
+    """Run rounds in sequence until the time is over."""
     bundle, end, rounds = built(folder), time.monotonic() + seconds, []
     while not rounds or time.monotonic() < end:
         number = len(rounds)
@@ -194,14 +194,14 @@ async def rounds_for(seconds: float, seed: int, folder: Path, *, over_zenoh: boo
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description="Real processes in bad weather, judged.")
     parser.add_argument("--seconds", type=float, default=120.0, help="the last round begins before (120)")
     parser.add_argument("--seed", type=int, default=1, help="of the first round; each next has one more (1)")
     parser.add_argument("--zenoh", action="store_true", help="over two routers of Zenoh instead of TCP")
     args = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="lfield-chaos-"))
-    # Runs of others are not found, nor do commands of others find these.
+    # Separate folders: these runs and other runs on this computer do not find each other.
     os.environ |= {"LFIELD_RUNS": "here", "XDG_RUNTIME_DIR": str(folder)}
     rounds = asyncio.run(rounds_for(args.seconds, args.seed, folder, over_zenoh=args.zenoh))
     return report(rounds, folder)

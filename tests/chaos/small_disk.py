@@ -1,4 +1,4 @@
-"""A disk for each host that can be filled: a small tmpfs. Its contents outlive the host's process."""
+"""A small tmpfs as the disk of each host, which can be filled. Its contents survive the host's process."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import subprocess
 from contextlib import suppress
 from pathlib import Path
 
-#: Bytes of a disk: several times what a journal of this size takes.
+#: Bytes of a disk: several times the size of the journal.
 SIZE = 4 << 20
 
 
 class Disk:
-    """One disk, mounted on a folder; `can_be_full` is false where nothing may be mounted."""
+    """One disk, mounted on a folder; `can_be_full` is false without the right to mount."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -21,7 +21,7 @@ class Disk:
         self.can_be_full = subprocess.run(command, capture_output=True).returncode == 0
 
     def fill(self) -> None:
-        """Leave no byte free."""
+        """Fill the disk completely."""
         with suppress(OSError), (self.folder / "ballast").open("ab", buffering=0) as ballast:
             while ballast.write(bytes(4096)):
                 pass
@@ -31,6 +31,6 @@ class Disk:
         (self.folder / "ballast").unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Unmount the disk."""
         if self.can_be_full:
             subprocess.run(["umount", "-l", str(self.folder)], capture_output=True)

@@ -1,4 +1,4 @@
-"""The judge of real processes finds each kind of breach."""
+"""The verdict on real processes reports each type of breach."""
 
 from __future__ import annotations
 

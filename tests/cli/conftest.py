@@ -25,9 +25,9 @@ from lfield.cli.main import main
 from lfield.testing.keyring import Keyring
 
 ROOT = Path(__file__).parents[2]
-# : Seconds for anything that depends on the load of the machine.
+#: Seconds for events that depend on the load of the computer.
 PATIENCE = 60.0
-#: In the environment of a test's processes, to find them and all that they start.
+#: The environment variable that marks the processes of a test and their children.
 MARK = "LFIELD_TEST_RUN"
 
 
@@ -35,11 +35,11 @@ class Process:
     """A running command; its lines are stored as they arrive, by stream."""
 
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
-        # The starts of hosts that a test starts by hand are recorded in its own folder.
+        # Runs of hosts that a test starts are recorded in the folder of the test.
         state = str(options.get("cwd", tempfile.gettempdir()))
         own = {"XDG_STATE_HOME": state, "XDG_CONFIG_HOME": f"{state}/config", MARK: mark}
         environment = {**os.environ, **own, **options.pop("env", {})}
-        # Where a test run is unbuffered, the commands are not: Python then loses what a pipe does not take.
+        # Commands are buffered also in an unbuffered test run: Python then loses output that a pipe rejects.
         environment.pop("PYTHONUNBUFFERED", None)
         self.mark = mark
         self._changed = threading.Condition()
@@ -79,7 +79,7 @@ class Process:
         return "\n".join(["stdout:", *self.out, "stderr:", *self.err])
 
     def wait_for(self, pattern: str) -> re.Match[str]:
-        """The first line of either stream with this pattern."""
+        """Wait for the first line with this pattern on stdout or stderr."""
         found: list[re.Match[str]] = []
 
         def seen() -> bool:
@@ -92,7 +92,7 @@ class Process:
         return found[0]
 
     def wait(self) -> int:
-        """The exit status; all lines have been read then."""
+        """Wait for the end and read all lines; returns the exit status."""
         try:
             status = self.popen.wait(PATIENCE)
         except subprocess.TimeoutExpired:
@@ -107,7 +107,7 @@ class Process:
 
 
 def run_of(pid: int, mark: str) -> bool:
-    """If a live process was started by a run of a test."""
+    """Return true if a running process belongs to a run of a test."""
     try:
         environment = Path(f"/proc/{pid}/environ").read_bytes()
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
@@ -117,7 +117,7 @@ def run_of(pid: int, mark: str) -> bool:
 
 
 def processes_of(mark: str) -> list[int]:
-    """The pids of all live processes of a run."""
+    """The pids of all running processes of a run."""
     return [
         int(path.name)
         for path in Path("/proc").iterdir()
@@ -126,8 +126,9 @@ def processes_of(mark: str) -> list[int]:
 
 
 class Ports:
-    """TCP ports that no other test process takes, below the range of the system. They come in blocks; the
-    owner of a block has bound the UDP port with the number of its first port.
+    """TCP ports for this test process only, below the range of the system, in blocks.
+
+    The owner of a block has bound the UDP port with the number of its first port.
     """
 
     SIZE = 50
@@ -140,13 +141,13 @@ class Ports:
             except OSError:
                 self._claim.close()
                 continue
-            # Not the first: a host that listens there could not have the UDP port beside it.
+            # Skip the first port: a host there could not bind the UDP port of the same number.
             self._next = itertools.cycle(range(first + 1, first + self.SIZE))
             return
         raise RuntimeError("all ports for tests are taken")
 
     def take(self, count: int) -> list[int]:
-        """Ports without a listener, each time the next ones of the block."""
+        """The next ports of the block without a listener."""
         found: list[int] = []
         while len(found) < count:
             port = next(self._next)
@@ -170,22 +171,22 @@ class Lfield:
         self.ports = ports
         self.mark = uuid.uuid4().hex
         self.started: list[Process] = []
-        #: Where commands look for keys: see `Process`.
+        #: The folder of the commands' keys: see `Process`.
         self.keys = Keyring(folder / "config" / "lfield" / "keys")
 
     @property
     def environment(self) -> dict[str, str]:
-        """The variables that mark a process, and all it starts, as part of this test."""
+        """The variables that mark a process and its children as part of this test."""
         return {**os.environ, "XDG_CONFIG_HOME": f"{self.folder}/config", MARK: self.mark}
 
     def start(self, *words: object, **options) -> Process:
-        """A command that continues to run."""
+        """Start a command without waiting for its end."""
         process = Process(*map(str, words), mark=self.mark, cwd=self.folder, **options)
         self.started.append(process)
         return process
 
     def __call__(self, *words: object, status: int | None = None, **options) -> Process:
-        """A command that ends, with this exit status if one is given."""
+        """Run a command to its end; asserts the exit status if one is given."""
         process = self.start(*words, **options)
         ended = process.wait()
         assert status in (None, ended), f"exit status {ended}\n{process.said}"
@@ -201,19 +202,19 @@ class Lfield:
         return path
 
     def mission(self, program: str, deployment: str, devices: str = "", name: str = "mission") -> Path:
-        """Write a mission's files; returns the deployment's."""
+        """Write a mission's files; returns the path of the deployment."""
         self.write(f"{name}.L", program)
         if devices:
             self.write(f"{name}.devices.yaml", devices)
         return self.write(f"{name}.dL", deployment)
 
     def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
-        """One process for each host, on its own port, as by hand; none waits for another."""
+        """Start one process for each host, on its own port, without waiting."""
         words = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
         return {name: self.start(*words, "--host", name, **more) for name in names}
 
     def maps(self, names: list[str]) -> list[str]:
-        """`--map` options that put the hosts on free ports of this machine; they get keys for their links."""
+        """`--map` options with free ports of this computer for the hosts, which get keys for their links."""
         self.keys.give(*names)
         pairs = zip(names, self.ports.take(len(names)), strict=True)
         return [word for name, port in pairs for word in ("--map", f"{name}=127.0.0.1:{port}")]
@@ -222,7 +223,7 @@ class Lfield:
         return processes_of(self.mark)
 
     def running(self, word: str) -> list[int]:
-        """Those of its processes whose command line has a word; they may have ended meanwhile."""
+        """The processes of this test whose command line contains a word; some may have ended since."""
         found = []
         for pid in self.left():
             with suppress(FileNotFoundError, ProcessLookupError):
@@ -241,7 +242,7 @@ class Lfield:
         return self.running("lfield.guard.process")
 
     def all_ended(self) -> bool:
-        """If all processes have ended, within the time limit."""
+        """Return true if all processes end within the time limit."""
         end = time.monotonic() + PATIENCE
         while self.left() and time.monotonic() < end:
             time.sleep(0.05)
@@ -292,8 +293,9 @@ def lfield(tmp_path: Path, ports: Ports) -> Iterator[Lfield]:
 def here(
     lfield: Lfield, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Callable[..., Said]:
-    """`here(*words)`: a command in this process, in the folder of `lfield`, with this exit status if one is
-    given. It builds bundles in this process too."""
+    """`here(*words)`: run a command in this process, in the folder of `lfield`; checks a given status. Bundles
+    are built in this process too.
+    """
     monkeypatch.chdir(lfield.folder)
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
     builds_here.use(monkeypatch)
@@ -313,7 +315,7 @@ def here(
 
 @pytest.fixture(scope="module")
 def shared_lfield(tmp_path_factory: pytest.TempPathFactory, ports: Ports) -> Iterator[Lfield]:
-    """One for all tests of a file, for teams that several tests use."""
+    """One `Lfield` for all tests of a file, for teams that several tests use."""
     made = Lfield(tmp_path_factory.mktemp("shared"), ports)
     yield made
     made.end()
@@ -321,7 +323,7 @@ def shared_lfield(tmp_path_factory: pytest.TempPathFactory, ports: Ports) -> Ite
 
 @pytest.fixture
 def alone() -> Iterator[dict[str, str]]:
-    """The environment of commands that find no fakes and teams but each other."""
+    """An environment in which commands find only the fakes and teams of this test."""
     # Not pytest's folder: the path of a socket has at most 107 bytes.
     with tempfile.TemporaryDirectory(prefix="lf-") as folder:
         yield {"XDG_RUNTIME_DIR": folder}

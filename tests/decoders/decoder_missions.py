@@ -1,4 +1,4 @@
-"""The mission of the simulated peers of a fuzzed host: all messages between hosts are about it."""
+"""The mission of a fuzzed host and its simulated peers."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ HOSTS = ("alpha", "bravo", "charlie")
 
 @cache
 def mission() -> Mission:
-    """The mission, compiled once. Its coordinators start without links: the only peer is the fuzzer."""
+    """The mission, compiled once. Its coordinators start without links: the fuzzer is the only peer."""
     with tempfile.TemporaryDirectory(prefix="lfield-") as folder:
         at = Path(folder)
         (at / "mission.L").write_text(PROGRAM)

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 from decoder_target import LONGEST, Target
 
-#: Numbers at common limits, and values of every kind.
+#: Numbers at common limits, and values of every type.
 EDGES = (0, 1, -1, 2, 127, 128, 255, 256, 65535, 65536, *(2**n - d for n in (31, 32, 53, 63) for d in (0, 1)))
 ODD: Sequence[Any] = (
     *EDGES,
@@ -21,7 +21,7 @@ ODD: Sequence[Any] = (
     *(None, True, False, "", "a", "\0", "\n", "é" * 40, "\u202e", "\U0010ffff", "x" * 300, "x" * 3000),
     *(b"", b"\0" * 32, b"\xff" * 40, [], {}, [[]], {"": 0}, [0] * 70, {1: 2}, msgspec.msgpack.Ext(1, b"x")),
 )
-#: Depth of a list that is nested in itself.
+#: Depth of a nested list.
 _DEEP = 200
 
 
@@ -62,7 +62,7 @@ def _mutated_tree(target: Target, data: bytes, other: bytes, rng: random.Random)
 
 
 def _places(tree: Any, depth: int = 0) -> list[tuple[Any, Any]]:
-    """All containers with a key of each, down to some depth."""
+    """All containers with their keys, to a limited depth."""
     if depth > 20 or not isinstance(tree, list | dict):
         return []
     found = [(tree, key) for key in (range(len(tree)) if isinstance(tree, list) else tree)]

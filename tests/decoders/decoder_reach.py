@@ -1,8 +1,7 @@
-"""The functions that read data of others, by their targets: lines that no input reaches.
+"""Coverage of the functions that read external data, by target: lines that no input reaches.
 
-Only calls are traced, and lines in those functions alone: it takes little more time than the inputs. For
-targets that are absent here, a whole machine, host or driver reads the data, or the readers of a language,
-whose folders have tests of their own.
+Tracing covers only calls, and lines in these functions, so that it takes little time. The other targets
+feed a whole machine, host or driver, or the parsers of a language, which have tests in other folders.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ READS: Mapping[str, Sequence[object]] = {
 }
 _BUG = "only a bug of ours gets there, and no input may"
 _LARGE = "no input is so large"
-#: By target: lines that no input reaches, each with the reason.
+#: Lines that no input reaches, with the reason, by target.
 UNREACHED: Mapping[str, Mapping[str, str]] = {
     "stream": {
         "FramedLink._on_delta: self._weigh(delta.agent)": "only a member over its budget gets no answers",
@@ -91,7 +90,7 @@ INPUTS = 200
 
 
 def codes_of(thing: Any) -> Iterator[CodeType]:
-    """The code of a function and of all functions in it, or of those of a class."""
+    """The code of a function with its nested functions, or of the methods of a class."""
     if isclass(thing):
         for inner in vars(thing).values():
             if not isclass(inner):
@@ -106,7 +105,7 @@ def codes_of(thing: Any) -> Iterator[CodeType]:
 
 
 def unreached(target: Target, functions: Sequence[object]) -> set[str]:
-    """The lines of these functions that no seed, stored input or mutation has reached, as texts."""
+    """The text of the lines of these functions that no seed, stored input or mutation has reached."""
     codes = {code for thing in functions for code in codes_of(thing)}
     ran: set[tuple[CodeType, int]] = set()
 

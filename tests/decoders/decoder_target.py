@@ -1,7 +1,7 @@
-"""A decoder for a fuzzer: bytes go in, and only its own errors come out, in bounded time and memory.
+"""A decoder for a fuzzer: any bytes give a value or an lfield error, in bounded time and memory.
 
-An input is limited in CPU time, which other programs do not influence, and in allocated
-memory. Exceeding a limit is a crash, as is every exception that is not an lfield error.
+An input is limited in CPU time, which does not depend on other programs, and in allocated memory.
+Exceeding a limit is a crash, as is every exception that is not an lfield error.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 
-#: CPU seconds and allocated bytes of one input at most.
+#: Limits of one input: CPU seconds and allocated bytes.
 SECONDS, BYTES = 5.0, 64 << 20
-#: No mutation makes longer inputs.
+#: The length limit of mutations.
 LONGEST = 1 << 16
 
 
 @dataclass(frozen=True)
 class Target:
-    """One decoder: `seeds` gives valid inputs, `decode` decodes one, and must not raise for any input.
+    """One decoder: `seeds` gives valid inputs; `decode` decodes an input and must not raise for any input.
 
-    `tokens` are names that it knows. If `packed`, its inputs are msgpack and mutated as such.
+    `tokens` are valid names for mutations. If `packed`, the inputs are msgpack and mutated as such.
     """
 
     name: str
@@ -31,12 +31,12 @@ class Target:
     decode: Callable[[bytes], None]
     packed: bool = False
     tokens: Sequence[object] = field(default=())
-    #: A slow target takes only one of this many inputs.
+    #: A slow target decodes only one of this many inputs.
     share: int = 1
 
     @cached_property
     def good(self) -> Sequence[bytes]:
-        """The seeds, made once."""
+        """The seeds, created once."""
         return self.seeds()
 
 
@@ -46,7 +46,7 @@ class Hang(BaseException):
 
 @contextmanager
 def bounded(seconds: float = SECONDS) -> Iterator[None]:
-    """Raises Hang when the block exceeds this CPU time in seconds."""
+    """Raise Hang when the block exceeds this CPU time in seconds."""
 
     def over(number: int, frame: object) -> None:
         raise Hang(f"over {seconds:g} s of the processor")
@@ -61,7 +61,7 @@ def bounded(seconds: float = SECONDS) -> Iterator[None]:
 
 
 def peak_of(target: Target, data: bytes) -> int:
-    """Bytes that Python's allocator gave at once to decode an input."""
+    """Peak bytes of Python's allocator while an input is decoded."""
     tracemalloc.start()
     try:
         target.decode(data)

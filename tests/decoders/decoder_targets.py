@@ -1,4 +1,4 @@
-"""Every decoder that reads bytes of others, by its name."""
+"""All decoders of external bytes, by name."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""`make fuzz-decoders`: inputs into every decoder that reads bytes of others, and the results.
+"""`make fuzz-decoders`: fuzz every decoder of external bytes, and report the results.
 
     python tests/decoders/run.py --count 10000 --seed 1 [--only bundle,block] [--guided]
 
-Each decoder is fuzzed in a process of its own, whose address space is bounded. An input that crashes it is
-written into tests/decoders/found; `--again FILE` decodes that one. With `--guided` atheris (pip install it)
-chooses the inputs by the code that they reach, and adds those that reach more to the corpus.
+Each decoder is fuzzed in its own process with limited address space. An input that crashes it is written to
+tests/decoders/found; `--again FILE` decodes it again. With `--guided` atheris (pip install it) selects the
+inputs by their code coverage, and adds inputs with new coverage to the corpus.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from decoder_corpus import corpus_of, keep
 
 HERE = Path(__file__).parent
 FOUND = HERE / "found"
-#: Bytes of address space that a target may use beyond those before its first input.
+#: Bytes of address space for a target in addition to those before its first input.
 MEMORY_LIMIT = 512 << 20
-#: Different crashes of one target that are reported before it is skipped.
+#: Distinct crashes of one target that are reported before it is skipped.
 MOST = 20
-#: Stored inputs of one decoder because they reach more code: the shortest.
+#: The most stored inputs with new coverage of one decoder, the shortest ones.
 KEPT = 100
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -57,7 +57,7 @@ def main() -> int:
 
 
 def all_of_them(options: argparse.Namespace) -> int:
-    """Every decoder in turn, and the total."""
+    """Fuzz every decoder in sequence, and print the total."""
     from decoder_targets import TARGETS
 
     names = options.only.split(",") if options.only else list(TARGETS)
@@ -80,7 +80,7 @@ def all_of_them(options: argparse.Namespace) -> int:
 
 
 def fuzz(name: str, count: int, seed: int) -> int:
-    """Mutations of the known inputs of one decoder; 1 when one of them crashed it."""
+    """Run mutations of the known inputs of one decoder; returns 1 after a crash."""
     from decoder_mutations import mutated
     from decoder_target import bounded
     from decoder_targets import TARGETS
@@ -114,7 +114,7 @@ def fuzz(name: str, count: int, seed: int) -> int:
 
 
 def report_crash(name: str, data: bytes, error: BaseException, crashes: set[str]) -> None:
-    """A new crash: its input is stored, and its place is reported."""
+    """Store the input of a new crash, and report its source line."""
     frames = traceback.extract_tb(error.__traceback__)
     where = next((f for f in reversed(frames) if str(HERE) not in f.filename), frames[-1])
     kind = f"{type(error).__name__} {where.filename}:{where.lineno}"
@@ -141,13 +141,13 @@ def again(path: Path, *, kept: bool) -> None:
 
 
 def limit_memory() -> None:
-    """From here on, excessive allocations of an input fail."""
+    """Limit the address space: excessive allocations of an input fail."""
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_LIMIT, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
 def hunt(name: str, options: list[str]) -> int:
-    """As `fuzz`, by atheris; inputs that reach new code are stored, the shortest of each."""
+    """Fuzz with atheris; the shortest inputs with new coverage are stored."""
     from decoder_targets import TARGETS
 
     good = set(TARGETS[name].good)
@@ -159,13 +159,13 @@ def hunt(name: str, options: list[str]) -> int:
         subprocess.run([sys.executable, __file__, *options, "--guided", "--folder", folder], check=True)
         old = corpus_of(name)
         reached = {path.read_bytes() for path in Path(folder).iterdir()} - good - set(old)
-    # Existing inputs stay, also those that once crashed it (--keep).
+    # Existing inputs stay, including those that once crashed the decoder (--keep).
     keep(name, [*old, *sorted(reached, key=len)[: max(0, KEPT - len(old))]])
     return 1 if set(FOUND.glob(f"{name}-*")) - before else 0
 
 
 def guided(name: str, count: int, seed: int, folder: str) -> None:
-    """Atheris, in a process that libFuzzer ends. It adds inputs that reach more to the folder."""
+    """Run atheris in a process that libFuzzer ends; it adds inputs with new coverage to the folder."""
     import atheris
 
     with atheris.instrument_imports(include=["lfield", "lfield_mavlink", "lfield_can", "lfield_dynamixel"]):

@@ -1,6 +1,6 @@
 """Proofs of identity and rights: certificates, lists, signatures, handshakes, access files.
 
-Changed certificates and lists are signed again: only a member of the team could send them.
+Changed certificates and lists are signed again, as only a member of the team could send them.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ from lfield.wire.order_messages import (
 )
 
 NOT_BEFORE, END = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2026, 2099))
-#: Behind a text that was signed in DER: the name of Ed25519, and the length of its signature as bits.
+#: The DER fields between a signed body and its signature: the algorithm Ed25519, and the signature's length.
 _ED25519, _BITS = bytes.fromhex("300506032b6570"), bytes.fromhex("03410000")[:3]
 DIGEST = bytes(32)
 ACCESS = """people:
@@ -78,7 +78,7 @@ coordinators:
 
 
 class Made(NamedTuple):
-    """An authority, and what it has made; keys and certificates are PEM, the list is DER."""
+    """An authority with its keys and certificates in PEM and its revocation list in DER."""
 
     authority: bytes
     key: bytes
@@ -105,7 +105,7 @@ def team() -> Made:
 
 
 def signature_of_a_bundle() -> bytes:
-    """The signature of a person on a bundle; the same keys always give the same signature."""
+    """The signature of a person on a bundle; equal keys give an equal signature."""
     made = team()
     return sign_bundle(DIGEST, Keys("person", made.authority, made.person, made.person_key), NOT_BEFORE + 1.0)
 
@@ -116,14 +116,14 @@ def _signer() -> Ed25519PrivateKey:
 
 
 def resigned(body: bytes) -> bytes:
-    """A signed thing in DER with this body, as the authority would have signed it."""
+    """A DER structure with this body, signed by the authority."""
     parts = body + _ED25519 + _BITS + _signer().sign(body)
     length = len(parts).to_bytes((len(parts).bit_length() + 7) // 8 or 1, "big")
     return b"\x30" + (length if len(parts) < 128 else bytes([0x80 | len(length)]) + length) + parts
 
 
 def decode_certificate(data: bytes) -> None:
-    """A certificate that the authority has signed, whatever it says; and the same bytes as they are."""
+    """Decode a certificate with any content and a valid signature; then the unchanged bytes."""
     for shown in (resigned(data), data):
         with suppress(KeysError):
             who = identity_in_der(shown, team().authority)
@@ -133,14 +133,14 @@ def decode_certificate(data: bytes) -> None:
 
 
 def decode_list(data: bytes) -> None:
-    """A revocation list that the authority has signed; and the same bytes as they are."""
+    """Decode a revocation list with a valid signature; then the unchanged bytes."""
     for shown in (resigned(data), data):
         with suppress(KeysError):
             revoked_in(shown, team().authority)
 
 
 def decode_pem(data: bytes) -> None:
-    """A file of a key folder: a certificate or a private key."""
+    """Decode a file of a key folder: a certificate or a private key."""
     with suppress(KeysError):
         identity_in(data, team().authority)
     with suppress(KeysError):
@@ -160,13 +160,13 @@ def decode_names(data: bytes) -> None:
 
 
 def decode_signature(data: bytes) -> None:
-    """The signature of a bundle."""
+    """Decode the signature of a bundle."""
     with suppress(SignatureError):
         verify_bundle(DIGEST, data, team().authority)
 
 
 def decode_handshake(data: bytes) -> None:
-    """Bytes of a stranger who calls, or is called, in pieces of a size that the first byte says."""
+    """Feed bytes of an unauthenticated peer, client or server, in pieces; the first byte gives their size."""
     for calls in (False, True):
         channel, size = _tls().channel(calls=calls), 1 + 4 * (data[0] if data else 0)
         with suppress(LfieldError):
@@ -181,7 +181,7 @@ def _tls() -> TlsIdentity:
 
 
 def decode_access_file(data: bytes) -> None:
-    """An access file."""
+    """Decode an access file."""
     path, made = Path(gettempdir()) / "lfield-fuzz.access.yaml", mission()
     path.write_bytes(data)
     try:
@@ -271,7 +271,7 @@ def signers() -> tuple[OrderSigner, OrderSigner]:
 
 
 def decode_order_datagram(data: bytes) -> None:
-    """At the port of a host, from another host, and at the port of a desk. A signed part is signed again."""
+    """Decode a datagram at a host, from another host, and at a desk; signed parts are signed again."""
     person, host = signers()
     known = CertificateCache(team().authority)
     known.add_der(person.certificate)
@@ -305,7 +305,7 @@ def decode_order_datagram(data: bytes) -> None:
 
 
 def signed_again(data: bytes) -> bytes:
-    """The same with signatures that are good, where it can be read."""
+    """The datagram with valid signatures, if it can be parsed."""
     person, host = signers()
     try:
         read = decode_datagram(data)

@@ -1,4 +1,4 @@
-"""Data of devices: packets and frames, alone, and from a device that sends false data to a driver."""
+"""Data of devices: separate packets and frames, and the traffic of a device that sends false data."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ TESTS = Path(__file__).parents[1]
 
 @cache
 def bench_of(folder: str, name: str) -> Any:
-    """A module of the tests of a driver, which are no package."""
+    """Load a module of the tests of a driver, which are no package."""
     sys.path.append(str(TESTS / folder))
     spec = importlib.util.spec_from_file_location(
         f"{name}_of_{folder.replace('/', '_')}", TESTS / folder / f"{name}.py"
@@ -60,7 +60,7 @@ _CRC_EXTRA = {kind: message.crc_extra for kind, message in dialect.mavlink_map.i
 
 
 def sealed(packet: bytes) -> bytes:
-    """A packet of MAVLink 2 whose checksum is right."""
+    """A MAVLink 2 packet with a correct checksum."""
     if len(packet) < 12 or packet[0] != 0xFD:
         return packet
     body = bytearray(packet[1:-2])
@@ -71,7 +71,7 @@ def sealed(packet: bytes) -> bytes:
 
 
 def vehicle(kind: str) -> MavlinkVehicle:
-    """A vehicle that nobody has heard of yet."""
+    """A vehicle before its first message."""
     binding = bind(
         MAVLINK, agent="a", field="fc", endpoint="udp:127.0.0.1:1", options={"system": 1, "kind": kind}
     )
@@ -85,7 +85,7 @@ def manifest() -> Any:
 
 
 def decode_mavlink(data: bytes) -> None:
-    """Packets with the right checksums, or bytes, to a copter and a rover."""
+    """Feed packets with correct checksums, or raw bytes, to a copter and a rover."""
     try:
         tree = unpack(data)
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -99,7 +99,7 @@ def decode_mavlink(data: bytes) -> None:
 
 
 def _packets() -> list[bytes]:
-    """A packet of every message, the heartbeat before it."""
+    """A packet of every message, each after a heartbeat."""
     heartbeat = PacketWriter(1, 1).pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3))
     plain = (_plain(kind, message.unpacker.size) for kind, message in dialect.mavlink_map.items())
     return [pack([heartbeat, sealed(packet)]) for packet in plain]
@@ -114,17 +114,17 @@ def _plain(kind: int, size: int) -> bytes:
     )
 
 
-# -- a device that lies ---------------------------------------------------------------------------------
+# -- a device with false data ---------------------------------------------------------------------------
 
 
-class Liar:
-    """The packets of a device, some of them changed: four bytes of input for each packet."""
+class FalseDataFilter:
+    """Changes some packets of a device, by four bytes of the input for each packet."""
 
     def __init__(self, data: bytes, seal: Callable[[bytes], bytes], first: int = 0) -> None:
         self._data, self._seal, self._count, self._first = data, seal, 0, first
 
-    def told(self, packet: bytes) -> list[bytes]:
-        """The packets that arrive when the device sends `packet`."""
+    def changed_packets(self, packet: bytes) -> list[bytes]:
+        """The packets that replace `packet` of the device."""
         at = 4 * self._count % max(4, len(self._data) - 3)
         self._count += 1
         rule = self._data[at : at + 4]
@@ -149,12 +149,12 @@ class Liar:
 
 
 def play(bench: Any, calls: list[tuple[str, list[Any]]], patience: float = 400.0) -> None:
-    """Everything that a program does with a device: each is carried out, or refused with a sentence."""
+    """Call a device as a program does: each call is completed, or fails with a DeviceError."""
     raised: list[dict[str, Any]] = []
 
     async def story(device: Any) -> None:
         asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
-        # A guard whose devices are not opened ends.
+        # A guard ends if its devices are not opened.
         await device.open()
         for name, arguments in calls:
             with suppress(DeviceError, TimeoutError):
@@ -173,15 +173,15 @@ def play(bench: Any, calls: list[tuple[str, list[Any]]], patience: float = 400.0
             raise context["exception"]
 
 
-def decode_lying_vehicle(data: bytes) -> None:
-    """A flight with an autopilot that says other things than it means."""
+def decode_false_vehicle_data(data: bytes) -> None:
+    """A flight with an autopilot that sends false data."""
     module = bench_of("mavlink", "conftest")
     flavour = "px4" if data[:1] > b"\x7f" else "ardupilot"
     bench = module.Bench(flavour=flavour)
-    liar = Liar(data[1:], sealed, first=6)
+    changes = FalseDataFilter(data[1:], sealed, first=6)
 
     def deliver(link: Any, packet: bytes) -> None:
-        for piece in liar.told(packet):
+        for piece in changes.changed_packets(packet):
             link.on_data(piece)
 
     bench.filter = deliver
@@ -195,9 +195,9 @@ def decode_lying_vehicle(data: bytes) -> None:
     play(bench, plan)
 
 
-def decode_lying_servo(data: bytes) -> None:
-    """A joint with a servo that lies about what it measures; a group of two where the first byte is odd, and
-    of Feetech where its next bit is set.
+def decode_false_servo_data(data: bytes) -> None:
+    """A joint with a servo that sends false data; a group of two if the first byte is odd, of Feetech if its
+    next bit is set.
     """
     module = bench_of("dynamixel/driver", "dynamixel_bench")
     odd, other = bool(data and data[0] & 1), bool(data and data[0] & 2)
@@ -206,8 +206,8 @@ def decode_lying_servo(data: bytes) -> None:
         *((1, 2) if odd else (1,)), limits={"speed": 2.0}, waivers=["device_watchdog"], **kind
     )
     seal = sealed_feetech if other else sealed_dynamixel
-    liar, deliver = Liar(data[1:], seal, first=4), bench.port._deliver
-    bench.port._deliver = lambda packet: [deliver(piece) for piece in liar.told(packet)]
+    changes, deliver = FalseDataFilter(data[1:], seal, first=4), bench.port._deliver
+    bench.port._deliver = lambda packet: [deliver(piece) for piece in changes.changed_packets(packet)]
     moves: list[tuple[str, list[Any]]] = [
         ("torque", [True]),
         ("moveTo", [[0.1, 0.1] if odd else 0.1]),
@@ -217,7 +217,7 @@ def decode_lying_servo(data: bytes) -> None:
 
 
 def sealed_dynamixel(packet: bytes) -> bytes:
-    """A packet of protocol 2.0 whose length and checksum are right."""
+    """A packet of protocol 2.0 with correct length and checksum."""
     if len(packet) < 11 or packet[:3] != b"\xff\xff\xfd":
         return packet
     body = packet[:5] + (len(packet) - 7).to_bytes(2, "little") + packet[7:-2]
@@ -225,15 +225,15 @@ def sealed_dynamixel(packet: bytes) -> bytes:
 
 
 def sealed_feetech(packet: bytes) -> bytes:
-    """A packet of protocol 1.0 whose length and checksum are right."""
+    """A packet of protocol 1.0 with correct length and checksum."""
     if len(packet) < 6 or packet[:2] != b"\xff\xff":
         return packet
     body = packet[2:3] + bytes((len(packet) - 4,)) + packet[4:-1]
     return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
-def decode_lying_drive(data: bytes) -> None:
-    """An axis with a drive of CiA 402 that says other things than it does."""
+def decode_false_drive_data(data: bytes) -> None:
+    """An axis with a CiA 402 drive that sends false data."""
     places, drives = bench_of("can", "conftest"), bench_of("can/driver", "can_local_drive")
     bus, drive = places.MemoryBus(), drives.LocalDrive()
     drive.bus = bus
@@ -251,17 +251,17 @@ def _axis(options: dict[str, Any]) -> DeviceBinding:
 
 
 def _lie_on(bus: Any, data: bytes) -> None:
-    liar, say = Liar(data, lambda frame: frame[:8]), bus.say
+    changes, say = FalseDataFilter(data, lambda frame: frame[:8]), bus.say
 
     def lie(identifier: int, frame: bytes, *, extended: bool = False) -> None:
-        for piece in liar.told(bytes(frame)):
+        for piece in changes.changed_packets(bytes(frame)):
             say(identifier, piece, extended=extended)
 
     bus.say = lie
 
 
 def decode_can_frames(data: bytes) -> None:
-    """Frames of all ids, of two to nine bytes each, to an axis of ODrive and one of CiA 402 that open."""
+    """Feed frames of all ids, of two to nine bytes, to an ODrive axis and a CiA 402 axis while they open."""
     places = bench_of("can", "conftest")
     cia402 = {"protocol": "cia402", "node": 5, "counts": 4096, "connect": 1.0}
     for options in ({"protocol": "odrive", "node": 3, "connect": 1.0}, cia402):
@@ -280,11 +280,11 @@ async def _speak(bus: Any, data: bytes) -> None:
         await asyncio.sleep(0.002)
 
 
-# -- bytes ----------------------------------------------------------------------------------------------
+# -- raw bytes ------------------------------------------------------------------------------------------
 
 
 def decode_dynamixel(data: bytes) -> None:
-    """Bytes of a bus of servos, in pieces, by both protocols."""
+    """Feed bytes of a servo bus in pieces to both protocols."""
     for protocol in (Protocol1, Protocol2):
         reader = protocol.reader()
         size = 1 + (data[0] if data else 0)
@@ -296,7 +296,7 @@ def decode_dynamixel(data: bytes) -> None:
 
 
 def decode_socketcand(data: bytes) -> None:
-    """Bytes of a server of socketcand, in pieces, before and after the greeting."""
+    """Feed bytes of a socketcand server in pieces, before and after the greeting."""
     client = Socketcand(Listener(lambda frame: None, linux_error, lambda why: None))
     size = 1 + (data[0] if data else 0)
     for at in range(1, len(data), size):
@@ -307,7 +307,7 @@ def decode_socketcand(data: bytes) -> None:
 
 
 def decode_sdo(data: bytes) -> None:
-    """Answers of a server of CANopen: eight bytes each, behind one that says what is asked meanwhile."""
+    """Feed answers of a CANopen server, eight bytes each; the first byte selects the running request."""
     client = SdoClient()
     keys = ((0x6064, 0), (0x1018, 1), (0x1008, 0))
     busy = False
@@ -321,7 +321,7 @@ def decode_sdo(data: bytes) -> None:
 
 
 def decode_dronecan(data: bytes) -> None:
-    """Frames of nodes and of an allocator's clients: an id, a length, and up to eight bytes."""
+    """Feed frames of nodes and of an allocator's clients: an id, a length, and up to eight bytes."""
     assembler = Assembler(signatures())
     allocator = Allocator({bytes(16): 42}, frozenset({126}), -10.0)
     for number, at in enumerate(range(0, len(data), 13)):
@@ -336,7 +336,7 @@ def decode_dronecan(data: bytes) -> None:
 
 
 def decode_serial(data: bytes) -> None:
-    """Bytes of any serial device, by lines and by packets."""
+    """Feed bytes of a serial device to the readers of lines and of packets."""
     packets = Packets(b"\xb5\x62", 6, lambda head: 8 + (head[4] | head[5] << 8), lambda frame: frame[-1] != 0)
     for framer in (Lines(), Lines(b"\r\n", longest=40), packets):
         size = 1 + (data[0] if data else 0)
@@ -359,8 +359,8 @@ def _lies() -> list[bytes]:
     ]
 
 
-def _servo_lies() -> list[bytes]:
-    """Also those of Feetech servos, one and two."""
+def _servo_inputs() -> list[bytes]:
+    """Inputs for one and two servos, also of Feetech."""
     return [*_lies(), *(bytes([first]) + lie[1:] for first in (2, 3) for lie in _lies()[:2])]
 
 
@@ -399,13 +399,13 @@ _SOCKETCAND = (b"< frame ", b" >", b"<", b">", b"< error ", b"1FFFFFFF", b"7ff",
 
 TARGETS = (
     Target("mavlink", _packets, decode_mavlink, True),
-    Target("mavlink-lies", _lies, decode_lying_vehicle, share=40),
+    Target("mavlink-lies", _lies, decode_false_vehicle_data, share=40),
     Target("dynamixel", _dynamixel_seeds, decode_dynamixel, tokens=(b"\xff\xff\xfd\0", b"\xff\xff")),
-    Target("dynamixel-lies", _servo_lies, decode_lying_servo, share=2),
+    Target("dynamixel-lies", _servo_inputs, decode_false_servo_data, share=2),
     Target("socketcand", _socketcand_seeds, decode_socketcand, tokens=_SOCKETCAND),
     Target("sdo", _sdo_seeds, decode_sdo),
     Target("can-frames", _frame_seeds, decode_can_frames),
     Target("dronecan", _dronecan_seeds, decode_dronecan),
-    Target("can-lies", _lies, decode_lying_drive, share=10),
+    Target("can-lies", _lies, decode_false_drive_data, share=10),
     Target("serial", _serial_seeds, decode_serial, tokens=(b"\xb5\x62", b"\n")),
 )

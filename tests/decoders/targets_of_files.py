@@ -1,4 +1,4 @@
-"""Files that others have written or damaged: bundles, programs, journals, dumps, and texts."""
+"""External or damaged files: bundles, programs, journals, dumps, and texts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import msgspec
 from decoder_corpus import fixed
 from decoder_missions import DEPLOYMENT, DEVICES, PROGRAM, mission
 from decoder_target import Target
-from targets_of_links import Nothing, no_bug_of_ours, pack, transfers, unpack
+from targets_of_links import NoObservations, assert_no_bug_in_lfield, pack, transfers, unpack
 
 from lfield.bytecode import encoding
 from lfield.capability.condition_compiler import compile_query
@@ -56,7 +56,7 @@ from lfield.replication.membership.overlay import Overlay
 from lfield.vm.inspection import dump_file
 from lfield.vm.inspection.block_view import view
 
-#: Where files of fuzzers lie: in memory, where there is such a place.
+#: The folder of the fuzzer's files, in memory if possible.
 FOLDER = Path(tempfile.mkdtemp(prefix="lfield-fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
 atexit.register(shutil.rmtree, FOLDER, ignore_errors=True)
 OWNER = JournalOwner("mission", "alpha", "this computer")
@@ -66,7 +66,7 @@ OWNER = JournalOwner("mission", "alpha", "this computer")
 
 
 def decode_bundle(data: bytes) -> None:
-    """A bundle whose digests are right; the input is its parts as one tree. A sound one runs for a while."""
+    """Decode a bundle with correct digests; the input is the tree of its parts. Valid bundles run briefly."""
     try:
         parts = [pack(part) if part else b"" for part in unpack(data)]
     except (msgspec.MsgspecError, ValueError, RecursionError, TypeError, OverflowError):
@@ -82,20 +82,22 @@ def decode_bundle(data: bytes) -> None:
     clock, name = ManualClock(), made.team.hosts[0]
     neighbours = Overlay(made.team.hosts, 0, is_full_mesh=made.registry is not None)
     core = HostCore(
-        HostContext(made, name, 7, clock, Nothing(), random.Random(1), 10.0, neighbours, EventRecorder(clock))
+        HostContext(
+            made, name, 7, clock, NoObservations(), random.Random(1), 10.0, neighbours, EventRecorder(clock)
+        )
     )
     core.start_resources(first=True)
     core.start_coordinators(first=True)
     for _ in range(6):
         pause = core.run()
-        no_bug_of_ours(core.drain_effects())
+        assert_no_bug_in_lfield(core.drain_effects())
         clock.advance(pause or 0.0)
     core.hello()
     bundle.encode(made)
 
 
 def decode_bundle_bytes(data: bytes) -> None:
-    """A file that should be a bundle."""
+    """Decode the raw bytes of a bundle file."""
     try:
         bundle.decode(data)
     except LfieldError as error:
@@ -103,7 +105,7 @@ def decode_bundle_bytes(data: bytes) -> None:
 
 
 def decode_program(data: bytes) -> None:
-    """A program file whose checksum is right: core and debug information, each as a tree."""
+    """Decode a program file with a correct checksum: core and debug information, each as a tree."""
     try:
         core, debug = (pack(part) for part in unpack(data))
     except (msgspec.MsgspecError, ValueError, RecursionError, TypeError, OverflowError):
@@ -117,7 +119,7 @@ def decode_program(data: bytes) -> None:
 
 
 def decode_dump(data: bytes) -> None:
-    """Show the dump of a dead agent as `lfield inspect` does; the checksum is right."""
+    """Show the dump of a failed agent as `lfield inspect` does; the checksum is correct."""
     try:
         record, program, block = dump_file.decode(_dump_head() + struct.pack("<I", zlib.crc32(data)) + data)
         view(block, program, record.members)
@@ -134,7 +136,7 @@ def _dump_head() -> bytes:
 
 
 def decode_page(data: bytes) -> None:
-    """A page of a journal: its key and its body, whose checksum is right; and then is not."""
+    """Decode a page of a journal, key and body, with a correct checksum, then with a wrong one."""
     try:
         kind, name, number, version, body = unpack(data)
         key, body = RecordKey(kind, name, number), pack(body)
@@ -153,19 +155,19 @@ def decode_page(data: bytes) -> None:
         struct.error,
         OverflowError,
     ):
-        # What is no entry: SQLite's columns have types.
+        # Not an entry: SQLite's columns have types.
         return
 
 
 def decode_journal(data: bytes) -> None:
-    """The files of a journal: the length of its database in four bytes, that, and its log."""
+    """Decode the files of a journal: the length of its database in four bytes, the database, the log."""
     size = int.from_bytes(data[:4], "big")
     shutil.rmtree(FOLDER / "journal", ignore_errors=True)
     (FOLDER / "journal").mkdir(mode=0o700)
     path = FOLDER / "journal" / "host.journal"
     path.write_bytes(data[4 : 4 + size])
     path.with_name("host.journal-wal").write_bytes(data[4 + size :])
-    # It is salvaged in a copy, for which SQLite would wait until it is on a disk.
+    # The repair writes a copy, which SQLite would sync to the disk.
     elsewhere, tempfile.tempdir = tempfile.tempdir, str(FOLDER)
     try:
         _inspect(path)
@@ -174,7 +176,7 @@ def decode_journal(data: bytes) -> None:
 
 
 def _inspect(path: Path) -> None:
-    """As `lfield inspect` does, and then as a host that has it."""
+    """Read the journal as `lfield inspect` does, then as its host does."""
     with suppress(LfieldError):
         list(journal_lines(open_read_only(path)))
     with suppress(LfieldError):
@@ -194,7 +196,7 @@ def shown(error: ProgramError) -> None:
         assert finding.render()
 
 
-def decode_question(data: bytes) -> None:
+def decode_query(data: bytes) -> None:
     """Parse and compile a query to the registry."""
     registry = mission().registry
     assert registry is not None
@@ -211,7 +213,7 @@ def decode_question(data: bytes) -> None:
 
 
 def decode_deployment(data: bytes) -> None:
-    """A deployment."""
+    """Decode a deployment."""
     try:
         parse_deployment("mission.dL", _text(data), dict(mission().program.units))
     except ProgramError as error:
@@ -219,13 +221,13 @@ def decode_deployment(data: bytes) -> None:
 
 
 def decode_program_text(data: bytes) -> None:
-    """A program in L."""
+    """Decode a program in L."""
     for finding in check_text(_text(data), "mission.L").diagnostics:
         finding.render()
 
 
 def decode_bindings(data: bytes) -> None:
-    """A devices file."""
+    """Decode a devices file."""
     path = FOLDER / "mission.devices.yaml"
     path.write_bytes(data)
     made = mission()
@@ -244,7 +246,7 @@ def _parts() -> list[Any]:
 
 
 def _bundles() -> list[bytes]:
-    """A good one, and one that is wrong at each of its places."""
+    """A valid bundle, and bundles with one error at each place."""
     data = bundle.encode(mission())
     found, table = bundle.contents(data), pack([["program", 0, bytes(32)]])
 
@@ -346,7 +348,7 @@ TARGETS = (
     Target("dump", lambda: [_a_dump()[12:]], decode_dump, True),
     Target("page", lambda: list(map(pack, _entries())), decode_page, True, ("tom", "copy", "begun", "RUN")),
     Target("journal", lambda: fixed("journal", _journals), decode_journal),
-    Target("question", lambda: _QUESTIONS, decode_question, tokens=_OF_QUESTIONS),
+    Target("question", lambda: _QUESTIONS, decode_query, tokens=_OF_QUESTIONS),
     Target("deployment", lambda: [DEPLOYMENT.encode()], decode_deployment, tokens=_OF_TEAMS),
     Target("program-text", lambda: [PROGRAM.encode()], decode_program_text, tokens=_OF_PROGRAMS),
     Target("bindings", lambda: [DEVICES.encode()], decode_bindings, tokens=_OF_BINDINGS, share=5),

@@ -1,4 +1,4 @@
-"""The pipe between a host and its guards, both ways: what a driver loads is foreign code."""
+"""The pipe between a host and its guards in both directions: a guard runs external driver code."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ TOKENS = (
 
 
 class Thing(Device):
-    """A device that does what it is told, at once."""
+    """A device that executes its instructions."""
 
     async def _open(self) -> str:
         return "a thing"
@@ -128,8 +128,8 @@ class Output:
         return 0
 
 
-class Free:
-    """A lock that nobody else wants."""
+class FreeLock:
+    """A lock without competitors."""
 
     async def acquire(self, endpoint: str) -> None:
         """Take the lock at once."""
@@ -138,8 +138,8 @@ class Free:
         """Release the lock."""
 
 
-async def on_a_loop(work: Coroutine[Any, Any, None]) -> None:
-    """Run it, and raise what was raised beside it."""
+async def run_and_check_callbacks(work: Coroutine[Any, Any, None]) -> None:
+    """Run the coroutine, then raise the exceptions of its callbacks."""
     raised: list[Any] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
     await work
@@ -148,7 +148,7 @@ async def on_a_loop(work: Coroutine[Any, Any, None]) -> None:
 
 
 def frames(data: bytes) -> list[bytes]:
-    """The frames of a tree of [kind, fields]; bytes stand for themselves. A pause is a number."""
+    """The frames of a list of [kind, fields] and raw bytes."""
     try:
         tree = unpack(data)
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -165,17 +165,17 @@ def frames(data: bytes) -> list[bytes]:
 def decode_in_guard(data: bytes) -> None:
     """Feed messages of a host to a guard."""
 
-    async def story() -> None:
+    async def session() -> None:
         plugin: Any = SimpleNamespace(load=lambda: Bus, has_manifest=lambda file: True, reference="")
-        shell = Shell(plugin, Output(), LoopClock(), lock=Free())  # type: ignore[arg-type]
+        shell = Shell(plugin, Output(), LoopClock(), lock=FreeLock())  # type: ignore[arg-type]
         raised: list[Any] = []
         crashed = shell._callback_raised
 
-        def told(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        def on_exception(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
             raised.append(context)
             crashed(loop, context)
 
-        asyncio.get_running_loop().set_exception_handler(told)
+        asyncio.get_running_loop().set_exception_handler(on_exception)
         for piece in frames(data):
             shell.data_received(piece)
             await asyncio.sleep(0.03)
@@ -185,11 +185,11 @@ def decode_in_guard(data: bytes) -> None:
         for context in raised:
             raise context.get("exception") or AssertionError(context)
 
-    run_jumping(story())
+    run_jumping(session())
 
 
 class Process:
-    """A guard's process that is a fuzzer."""
+    """A guard process simulated by the fuzzer."""
 
     def __init__(self) -> None:
         self.closed = False
@@ -211,14 +211,14 @@ class Process:
 def decode_in_host(data: bytes) -> None:
     """Feed messages of a guard to a host."""
 
-    async def story() -> None:
+    async def session() -> None:
         notes: list[str] = []
         guard = GuardProcess(
             KNOWN, [BINDING], LoopClock(), notes.append, JitterMonitor(JitterLimit(1.0, False)), lambda: True
         )
         guard.connection_made(Process())  # type: ignore[arg-type]
         called = False
-        # Somebody waits for it to be open.
+        # Retrieve the exception of the opening.
         guard._opening.add_done_callback(lambda opening: opening.cancelled() or opening.exception())
         for piece in frames(data):
             guard.pipe_data_received(1, piece)
@@ -232,14 +232,14 @@ def decode_in_host(data: bytes) -> None:
                 if guard.snapshots.last("a.x", quantity.name) is not None:
                     guard.snapshots.reading("a.x", quantity.name)
 
-    run_jumping(on_a_loop(story()))
+    run_jumping(run_and_check_callbacks(session()))
 
 
 def _kind(message: msgspec.Struct) -> list[Any]:
     return [MESSAGES.index(type(message)), unpack(msgspec.msgpack.encode(message))]  # type: ignore[arg-type]
 
 
-def _host_says() -> list[bytes]:
+def _host_seeds() -> list[bytes]:
     opened, m = OpenDevices([BINDING], "", 0.5, KNOWN), messages
     said = [
         m.Beat(1000.01),
@@ -257,7 +257,7 @@ def _host_says() -> list[bytes]:
     return [pack(whole), *(pack([whole[0], whole[1], each]) for each in whole)]
 
 
-def _guard_says() -> list[bytes]:
+def _guard_seeds() -> list[bytes]:
     m = messages
     seen = {"where": Observation(1.0, 1000.1), "on": Observation(True, 1000.1)}
     said = [
@@ -284,6 +284,6 @@ def _guard_says() -> list[bytes]:
 
 
 TARGETS = (
-    Target("guard-in", _host_says, decode_in_guard, True, TOKENS),
-    Target("guard-out", _guard_says, decode_in_host, True, TOKENS),
+    Target("guard-in", _host_seeds, decode_in_guard, True, TOKENS),
+    Target("guard-out", _guard_seeds, decode_in_host, True, TOKENS),
 )

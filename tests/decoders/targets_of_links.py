@@ -1,4 +1,4 @@
-"""Data from a link: streams of frames, greetings, messages, transfers, and their effects on a host."""
+"""Data from a link: streams of frames, handshakes, messages, transfers, and their effects on a host."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from lfield.wire.messages import Control, HandshakeRefused, Hello, IncompatibleH
 
 pack = msgspec.msgpack.encode
 unpack = msgspec.msgpack.decode
-#: Names that mean something in that mission, and the tags of messages.
+#: Valid names of the mission, and the tags of messages.
 TOKENS = (
     *("alpha", "bravo", "charlie", "bell", "horn", "tom", "ann", "idle", "near", "far", "host", "observer"),
     *("RUN", "EXITED", "MOVED", "FROZEN", "PREPARED", "IN DOUBT", "PARKED"),
@@ -42,15 +42,15 @@ TOKENS = (
 )
 
 
-#: What every greeting begins with.
+#: The first bytes of every Hello.
 HELLO_START = codec.MAGIC + struct.pack(">H", codec.PROTOCOL)
-#: What is wrong with a transfer, in the first byte of an input: a checksum, or all of it may be.
+#: The first byte of an input: a wrong checksum of block or header, or raw bytes.
 OF_BLOCK, OF_HEADER, AS_IT_IS = 1, 2, 3
-#: Who has proven to be at the other end.
+#: The authenticated peer.
 BRAVO = Identity("host", "bravo", NO_RIGHTS)
 
 
-class Nothing:
+class NoObservations:
     """The observations that are available to a host without devices."""
 
     down_since: dict[str, float] = {}
@@ -71,12 +71,20 @@ class Nothing:
 
 
 def host(name: str, clock: ManualClock, life: int) -> HostCore:
-    """A host of the mission with resources and coordinators of its own, started."""
+    """A started host of the mission with its resources and coordinators."""
     made = mission()
     neighbours = Overlay(made.team.hosts, made.team.number(name), is_full_mesh=True)
     core = HostCore(
         HostContext(
-            made, name, life, clock, Nothing(), random.Random(1), 10.0, neighbours, EventRecorder(clock)
+            made,
+            name,
+            life,
+            clock,
+            NoObservations(),
+            random.Random(1),
+            10.0,
+            neighbours,
+            EventRecorder(clock),
         )
     )
     core.start_resources(first=True)
@@ -85,7 +93,7 @@ def host(name: str, clock: ManualClock, life: int) -> HostCore:
 
 
 def sealed(body: bytes, before: bytes = b"") -> bytes:
-    """The payload of a message or greeting with the checksum that it should have."""
+    """The payload of a message or Hello with a correct checksum."""
     check = zlib.crc32(body, len(before) + 4 + len(body))
     return before + struct.pack(">I", check) + body
 
@@ -94,9 +102,9 @@ def sealed(body: bytes, before: bytes = b"") -> bytes:
 
 
 def frame_of(data: bytes) -> tuple[int, bytes] | None:
-    """The kind and payload of a frame that a tree stands for, None for none: [kind, body].
+    """The kind and payload of the frame of a tree [kind, body], or None for another tree.
 
-    What a body is packed of has the checksum that it should have; bytes are a payload as it is.
+    A tree as body is packed with a correct checksum; bytes are the raw payload.
     """
     try:
         kind, body = unpack(data)
@@ -110,7 +118,7 @@ def frame_of(data: bytes) -> tuple[int, bytes] | None:
 
 
 def decode_control(data: bytes) -> None:
-    """One message of whoever has greeted as a host, or as somebody who only looks."""
+    """Decode one message of a peer with the role of host or observer."""
     if (frame := frame_of(data)) is None:
         return
     try:
@@ -121,14 +129,14 @@ def decode_control(data: bytes) -> None:
         return
     for role in ("host", "observer"):
         with suppress(WireError, HandshakeError):
-            greeted_by(role).admit(message)
+            handshake_with(role).admit(message)
 
 
-def decode_greeting(data: bytes) -> None:
-    """The first message of somebody, as a host hears it, and as a command does."""
+def decode_hello(data: bytes) -> None:
+    """Decode the first message of a peer, as a host and as a command."""
     if (frame := frame_of(data)) is None:
         return
-    own = greeting("alpha")
+    own = hello_of("alpha")
     for role in ("host", "observer"):
         try:
             message = codec.decode(*frame)
@@ -139,15 +147,15 @@ def decode_greeting(data: bytes) -> None:
 
 
 @cache
-def greeted_by(role: Role) -> Handshake:
-    """A greeting after which bravo may send what such a peer sends."""
-    made = Handshake(greeting("alpha"), BRAVO, hosts=HOSTS)
-    made.receive(msgspec.structs.replace(greeting("bravo"), role=role))
+def handshake_with(role: Role) -> Handshake:
+    """A completed handshake with bravo in this role."""
+    made = Handshake(hello_of("alpha"), BRAVO, hosts=HOSTS)
+    made.receive(msgspec.structs.replace(hello_of("bravo"), role=role))
     return made
 
 
 def decode_transfer(data: bytes) -> None:
-    """A transfer: what is wrong with its checksums, the length of its header, header, block."""
+    """Decode a transfer; the input is the wrong checksum, the length of the header, header, block."""
     wrong, size = (data + b"\0\0")[:2]
     head, block = data[2 : 2 + size], data[2 + size :]
     start = struct.pack(">IH", zlib.adler32(block) ^ (wrong == OF_BLOCK), len(head)) + head
@@ -157,7 +165,7 @@ def decode_transfer(data: bytes) -> None:
 
 
 def decode_compact(data: bytes) -> None:
-    """A compressed message with the checksum that it should have, or a delta of a known transfer."""
+    """Decode a compressed message with a correct checksum, or a delta of a known transfer."""
     (header, block), *_ = transfers()
     if data[:1] == b"\0":
         with suppress(WireError):
@@ -173,13 +181,13 @@ def decode_compact(data: bytes) -> None:
 
 
 class LinkRecorder:
-    """Whoever has a link and hears what comes on it."""
+    """Records the messages of a link."""
 
     def __init__(self) -> None:
         self.messages: list[object] = []
 
     def on_message(self, link: FramedLink, message: Message) -> None:
-        """After the greeting of a host everything may come, and nothing after a refusal."""
+        """Record a message; a Hello sets the role, a refusal closes the link."""
         self.messages.append(message)
         if isinstance(message, Hello):
             link.accept_role(message.role)
@@ -187,37 +195,38 @@ class LinkRecorder:
             link.close()
 
     def on_transfer(self, link: FramedLink, header: Transfer, block: memoryview) -> None:
-        """A coordinator."""
+        """Record a coordinator."""
         self.messages.append(bytes(block))
 
     def on_oversize(self, link: FramedLink, header: Transfer, size: int) -> None:
-        """A coordinator too large."""
+        """Record the size of an oversized coordinator."""
         self.messages.append(size)
 
     def on_closed(self, link: FramedLink, error: LfieldError | None) -> None:
-        """The end."""
+        """Record the end of the link."""
         self.messages.append(str(error))
 
 
 class Pipe(FramedLink):
-    """A link whose other end is a fuzzer."""
+    """A link with the fuzzer as its peer."""
 
     def write(self, data: Buffer) -> None:
-        """Only a request for a whole transfer is sent."""
+        """Ignore: the link only sends requests for whole transfers."""
 
     def close(self) -> None:
-        """No more."""
+        """Mark the link as closed."""
         self.closed = True
 
 
 def decode_stream(data: bytes) -> None:
-    """Bytes of a link in pieces, of a size that the first byte says. The same comes of them in one piece, and
-    of a guest's, which are taken message by message.
+    """Feed bytes of a link in pieces of the size in the first byte, in one piece, and message by message.
+
+    All three ways must give the same messages. The third is that of unauthenticated peers.
     """
-    size, heard = (data[0] if data else 0) + 1, []
+    size, recorded = (data[0] if data else 0) + 1, []
     for step, is_guest in ((size, False), (len(data) + 1, False), (size, True)):
-        link, ears = Pipe("peer", 4096), LinkRecorder()
-        link.handler = ears
+        link, recorder = Pipe("peer", 4096), LinkRecorder()
+        link.handler = recorder
         for at in range(1, len(data), step):
             if link.closed:
                 break
@@ -227,8 +236,9 @@ def decode_stream(data: bytes) -> None:
             else:
                 link.received(piece)
         link.on_eof(None)
-        heard.append(ears.messages)
-    assert heard[0][:-1] == heard[1][:-1] == heard[2][:-1], "what is heard depends on how bytes are split"
+        recorded.append(recorder.messages)
+        same = recorded[0][:-1] == recorded[1][:-1] == recorded[2][:-1]
+        assert same, "received messages depend on the split of the bytes"
 
 
 # -- a whole host ---------------------------------------------------------------------------------------
@@ -243,13 +253,13 @@ def decode_events(data: bytes) -> None:
     clock = ManualClock()
     core = host("alpha", clock, 7)
     core.start_coordinators(first=True)
-    core.on_linked(greeting("bravo"))
+    core.on_linked(hello_of("bravo"))
     for event in events[:60] if isinstance(events, list) else ():
-        happen(core, clock, event)
+        apply_event(core, clock, event)
         for _ in range(8):
             pause = core.run()
             effects = core.drain_effects()
-            no_bug_of_ours(effects)
+            assert_no_bug_in_lfield(effects)
             for effect in effects:
                 if hasattr(effect, "message"):
                     codec.encode(effect.message)
@@ -258,14 +268,14 @@ def decode_events(data: bytes) -> None:
     core.hello()
 
 
-def no_bug_of_ours(effects: Sequence[object]) -> None:
-    """Whether an agent ended by what no program can do."""
+def assert_no_bug_in_lfield(effects: Sequence[object]) -> None:
+    """Assert that no agent ended by a bug in lfield."""
     for effect in effects:
         assert "bug in lfield" not in str(getattr(effect, "text", "")), effect
 
 
-def happen(core: HostCore, clock: ManualClock, event: Any) -> None:
-    """One event; nothing for what is none."""
+def apply_event(core: HostCore, clock: ManualClock, event: Any) -> None:
+    """Apply one event; ignore values that are no event."""
     if not (isinstance(event, list) and len(event) == 2):
         return
     what, value = event
@@ -311,16 +321,16 @@ def operator_messages(core: HostCore, value: Any) -> None:
 
 
 def decode_block(data: bytes) -> None:
-    """The block of a coordinator from another host: refused, or it runs."""
+    """Decode the block of a coordinator from another host: it is refused or runs."""
     clock = ManualClock()
     core = host("alpha", clock, 7)
-    core.on_linked(greeting("bravo"))
+    core.on_linked(hello_of("bravo"))
     header = msgspec.structs.replace(transfers()[0][0], size=len(data))
     core.on_transfer("bravo", header, memoryview(data))
     for _ in range(20):
         pause = core.run()
         effects = core.drain_effects()
-        no_bug_of_ours(effects)
+        assert_no_bug_in_lfield(effects)
         clock.advance(pause or 0.0)
 
 
@@ -328,14 +338,14 @@ def decode_block(data: bytes) -> None:
 
 
 @cache
-def greeting(name: str) -> Hello:
-    """The greeting of a host of the mission."""
+def hello_of(name: str) -> Hello:
+    """The Hello of a host of the mission."""
     return host(name, ManualClock(), {"alpha": 7, "bravo": 3}.get(name, 9)).hello()
 
 
 @cache
 def transfers() -> Sequence[tuple[Transfer, bytes]]:
-    """Coordinators that bravo sends to alpha, at several points of their ways."""
+    """Coordinators that bravo sends to alpha, at several points of their missions."""
     found: list[tuple[Transfer, bytes]] = []
     clock = ManualClock()
     cores = {"alpha": host("alpha", clock, 7), "bravo": host("bravo", clock, 3)}
@@ -357,7 +367,7 @@ def transfers() -> Sequence[tuple[Transfer, bytes]]:
 
 
 def messages() -> list[Any]:
-    """A message of every type as its msgpack's tree, with something in every field."""
+    """A message of every type as a msgpack tree, with a value in every field."""
     types = Control.__args__  # type: ignore[attr-defined]
     return [unpack(pack(example(kind))) for kind in types]
 
@@ -398,7 +408,7 @@ def _plain(kind: Any) -> Any:
 
 
 def _event_seeds() -> Sequence[bytes]:
-    hello = [0, unpack(pack(greeting("bravo")))]
+    hello = [0, unpack(pack(hello_of("bravo")))]
     header, block = transfers()[0]
     arrival = [2, [unpack(pack(header)), block]]
     told = [[1, message] for message in messages()]
@@ -411,11 +421,11 @@ def _event_seeds() -> Sequence[bytes]:
 
 @cache
 def payloads() -> Mapping[int, Sequence[bytes]]:
-    """Payloads that a peer may send, by kind of frame: every kind that the wire accepts must be listed."""
+    """Valid payloads of a peer by frame kind; every kind of the wire format must be listed."""
     header, block = transfers()[0]
     controls = [codec.encode(example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
     hellos = [
-        codec.encode(greeting("bravo")),
+        codec.encode(hello_of("bravo")),
         *(frame(codec.HELLO, start) for start in (b"lfld\0\6", b"lfl")),
     ]
     refusals = [
@@ -438,12 +448,12 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
         ],
     }
     allowed = codec.limits("host", 1).keys() | codec.HANDSHAKE_LIMITS.keys()
-    assert found.keys() == allowed, "a kind of frame has no seeds here"
+    assert found.keys() == allowed, "a frame kind has no seeds"
     return {kind: [data[HEADER_SIZE:] for data in sent] for kind, sent in found.items()}
 
 
 def _deltas() -> Sequence[bytes]:
-    """The same hop again, a changed and a long one, one with an unknown reference, and damaged ones."""
+    """Deltas of the same hop, a changed and a long one, one with an unknown reference, and damaged ones."""
     (header, block), *_ = transfers()
     whole = codec.encode_transfer(header, block)[HEADER_SIZE:] + block
     frames = []
@@ -460,11 +470,11 @@ def _deltas() -> Sequence[bytes]:
 
 
 def _stream_seeds() -> Sequence[bytes]:
-    hello = codec.encode(greeting("bravo"))
-    looks = codec.encode(msgspec.structs.replace(greeting("bravo"), role="observer"))
+    hello = codec.encode(hello_of("bravo"))
+    observer = codec.encode(msgspec.structs.replace(hello_of("bravo"), role="observer"))
     sent = {kind: [frame(kind, payload) for payload in all_of] for kind, all_of in payloads().items()}
     alone = [each for all_of in sent.values() for each in all_of[:3]]
-    whole = [before + each for before in (b"", hello, looks) for each in alone]
+    whole = [before + each for before in (b"", hello, observer) for each in alone]
     everything = b"".join(each for all_of in sent.values() for each in all_of)
     large = codec.encode_transfer(transfers()[0][0], bytes(6000)) + bytes(6000)
     nobody = frame(max(sent) + 1, b"")
@@ -472,11 +482,11 @@ def _stream_seeds() -> Sequence[bytes]:
     whole += [hello + hop + delta for delta in sent[codec.TRANSFER_DELTA]]
     whole += [hello, hello + everything, hello + nobody, nobody[:-1]]
     pieces = [bytes([size]) + data for data in whole for size in (HEADER_SIZE, 250)]
-    return [*pieces, bytes([250]) + hello + large + hello, bytes([250]) + looks + large, b"\0" + hello]
+    return [*pieces, bytes([250]) + hello + large + hello, bytes([250]) + observer + large, b"\0" + hello]
 
 
 def _message_seeds(trees: Mapping[int, Sequence[Any]]) -> Sequence[bytes]:
-    """Messages as trees, and every kind of frame as bytes: as it should be, and cut short."""
+    """Messages as trees, and every kind of frame as bytes, complete and truncated."""
     plain = [[kind, tree] for kind, all_of in trees.items() for tree in all_of]
     sent = [[kind, payload] for kind, all_of in payloads().items() for payload in all_of[:3]]
     cut = [[kind, payload[:n]] for kind, payload in sent for n in (0, 3, 9, len(payload) - 1)]
@@ -484,12 +494,12 @@ def _message_seeds(trees: Mapping[int, Sequence[Any]]) -> Sequence[bytes]:
 
 
 def _greeting_seeds() -> Sequence[bytes]:
-    hellos = [unpack(pack(greeting(name))) for name in ("bravo", "charlie")]
+    hellos = [unpack(pack(hello_of(name))) for name in ("bravo", "charlie")]
     return [*_message_seeds({codec.HELLO: hellos}), pack([codec.HELLO, b"lflf" + bytes(2)])]
 
 
 def _control_seeds() -> Sequence[bytes]:
-    return _message_seeds({codec.CONTROL: messages(), codec.HELLO: [unpack(pack(greeting("bravo")))]})
+    return _message_seeds({codec.CONTROL: messages(), codec.HELLO: [unpack(pack(hello_of("bravo")))]})
 
 
 def _transfer_seeds() -> Sequence[bytes]:
@@ -522,7 +532,7 @@ def _compact_seeds() -> Sequence[bytes]:
 
 TARGETS = (
     Target("stream", _stream_seeds, decode_stream, tokens=(b"lfld",)),
-    Target("greeting", _greeting_seeds, decode_greeting, True, TOKENS),
+    Target("greeting", _greeting_seeds, decode_hello, True, TOKENS),
     Target("control", _control_seeds, decode_control, True, TOKENS),
     Target("transfer", _transfer_seeds, decode_transfer),
     Target("compact", _compact_seeds, decode_compact),

@@ -1,4 +1,4 @@
-"""Data that reaches an operator: events and states on a terminal or page, files of other programs."""
+"""Data for an operator: events and states on a terminal or page, files of other programs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from lfield_mavlink.files.parameter_file import read_parameters
 from lfield_mavlink.files.plan_report import read_plan
 from lfield_mavlink.modes import PX4
 
-#: What a terminal would obey.
+#: Control sequences of a terminal.
 _ESCAPES = ("\x1b[2J", "\x9b31m", "\u202e", "\r", "\x07", "[red]", "😀" * 50)
 
 
@@ -72,12 +72,12 @@ def _statuses() -> Sequence[bytes]:
 
 
 def decode_batches(data: bytes) -> None:
-    """Feed event batches of two hosts to the team view and the time line, and show everything."""
+    """Feed event batches of two hosts to the team view and the time line, and show all outputs."""
     try:
         tree = unpack(data)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return
-    watching = _Watching()
+    watching = _Views()
     for number, said in enumerate(tree[:6] if isinstance(tree, list) else ()):
         try:
             told = codec.decode(codec.CONTROL, sealed(pack(said)))
@@ -88,8 +88,8 @@ def decode_batches(data: bytes) -> None:
     watching.poll()
 
 
-class _Watching:
-    """All that is made of what is heard."""
+class _Views:
+    """All views of the received events."""
 
     def __init__(self) -> None:
         self._cursors = {f"host{n}": StreamCursor(telemetry=5.0) for n in range(2)}
@@ -98,7 +98,7 @@ class _Watching:
         self._table, self._log = event_view.EventCsv(), event_view.LogLineView()
 
     def decode(self, host: str, batch: EventBatch, now: float) -> None:
-        """A batch of a host."""
+        """Feed a batch of a host to the views."""
         fresh = self._cursors[host].accept(batch)
         pack(self._cursors[host].watch_request(batch.incarnation))
         self._picture.feed(host, fresh, now, 1.7e9, 0.1)
@@ -106,7 +106,7 @@ class _Watching:
             self._timeline.add(host, fresh.incarnation, event, now)
 
     def poll(self) -> None:
-        """Everything, as it is shown."""
+        """Render all views."""
         for now in (103.0, 110.0):
             self._picture.tick(now)
             text = io.StringIO()
@@ -163,7 +163,7 @@ GEOJSON = b"""{"type": "FeatureCollection", "features": [
 
 
 def decode_plan(data: bytes) -> None:
-    """A mission file, its check and its picture."""
+    """Decode a mission file, check it and draw it."""
     try:
         report = read_plan("f.plan", data, _REQUEST)
     except MissionFileError as error:
@@ -182,7 +182,7 @@ STAT_BOOTCNT 3 @READONLY
 
 
 def decode_parameters(data: bytes) -> None:
-    """A parameter file."""
+    """Decode a parameter file."""
     try:
         content = read_parameters("f.param", data)
     except MissionFileError as error:
@@ -192,7 +192,7 @@ def decode_parameters(data: bytes) -> None:
 
 
 def decode_area(data: bytes) -> None:
-    """A map file, and the check of each of its shapes."""
+    """Decode a map file, and check each of its shapes."""
     is_area_file("f.geojson", data)
     try:
         shapes = read_area_file("f.geojson", data)

@@ -1,6 +1,6 @@
-"""No bytes of others make a decoder raise what is no sentence of ours, hang, or take much memory.
+"""External bytes make no decoder raise other than lfield errors, hang, or use much memory.
 
-`make fuzz-decoders` does the same with as many inputs as one likes.
+`make fuzz-decoders` does the same with any number of inputs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from targets_of_links import payloads, unpack
 from lfield.wire import codec
 from lfield.wire.framing import frame
 
-#: Inputs that are made of each decoder's seeds here.
+#: Mutations of each decoder's seeds in this test.
 INPUTS = 60
 
 

@@ -1,4 +1,4 @@
-"""Random programs on two engines, compared: see `engine_fuzzer/command_line.py`."""
+"""Compares two engines with random programs: see `engine_fuzzer/command_line.py`."""
 
 from __future__ import annotations
 

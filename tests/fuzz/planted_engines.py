@@ -36,7 +36,7 @@ class WrongOpcode(ReferenceEngine):
 
 
 class _Changed(ReferenceEngine):
-    """Does something else at the end of each run."""
+    """Changes the result at the end of each run."""
 
     def run(
         self,
@@ -58,7 +58,7 @@ class _Changed(ReferenceEngine):
 
 
 class WrongBudget(_Changed):
-    """Does not charge for the instruction that lacks room."""
+    """Does not charge for an instruction that fails for lack of memory."""
 
     def changed(self, leave: EngineExit, block: Block, thread: int) -> EngineExit:
         self.unused_budget += isinstance(leave, HeapExhausted)
@@ -83,7 +83,7 @@ class WrongFrame(_Changed):
 
 
 class WrongNan(_Changed):
-    """Uses another NaN than the reference engine."""
+    """Uses a different NaN from the reference engine."""
 
     def changed(self, leave: EngineExit, block: Block, thread: int) -> EngineExit:
         for place in range(layout.HEADER_WORDS, block.top):
@@ -149,7 +149,7 @@ class WrongFuture(_WrongHead):
 
 
 class WrongWait(_WrongHead):
-    """Passes a wrong argument when a thread enters the monitor again."""
+    """Passes a wrong argument when a thread reenters the monitor."""
 
     head = "wait_enter"
 

@@ -1,6 +1,6 @@
-"""Faults in the text of the engine in WebAssembly, one each: random programs must find every one.
+"""Single faults in the text of the WebAssembly engine: random programs must find every one.
 
-`spoiled_rows.py` makes many more automatically.
+`spoiled_rows.py` generates many more.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from lfield.vm.wasm.runtime.runtime_functions import runtime_text
 from lfield.vm.wasm.wasm_engine import EagerWasmEngine
 from quick_code import quick_code
 
-#: Places of a fault beside rows of the table: the functions of the runtime, and what is made of a program.
+#: Places of faults outside the table: the functions of the runtime, and the lowered program.
 RUNTIME, PROGRAM = "runtime", "program"
 
 
 @dataclass(frozen=True)
 class Fault:
-    """`wrong` for the first `right`; in a row, the runtime or a program, of which only some can tell."""
+    """`wrong` instead of the first `right`, in a row, the runtime or a program."""
 
     place: str
     right: str
     wrong: str
-    #: What a program must have in it, to tell.
+    #: Text of the programs that can show the fault.
     needs: str
-    #: The function of the runtime, or of a program, that is wrong.
+    #: The wrong function of the runtime or of a program.
     function: str = ""
 
     @property
@@ -75,7 +75,7 @@ FAULTS = (
     _runtime("$i2s", "i64.div_u", "i64.div_s", "i2s("),
     _runtime("$i2s", "i64.rem_u", "i64.rem_s", "i2s("),
     _runtime("$s2i", "(i32.const 18)", "(i32.const 19)", "s2i("),
-    # the ends of numbers
+    # limits of numbers
     Fault("ceil", "(f64.add (f64.ceil {0}) (f64.const 0))", "(f64.ceil {0})", "ceil("),
     Fault("floor", "(f64.add (f64.floor {0}) (f64.const 0))", "(f64.floor {0})", "floor("),
     Fault("round", "f64.ge", "f64.gt", "round("),
@@ -92,13 +92,13 @@ FAULTS = (
     Fault("sin", "{a} (local.get $u)", "{a} (f64.add (local.get $u) (f64.const 0))", "sin("),
     Fault("atan2", "{a} (local.get $u)", "{a} (f64.add (local.get $u) (f64.const 0))", "atan2("),
     Fault("modf", "{a} (local.get $u)", "{a} (f64.add (local.get $u) (f64.const 0))", " % "),
-    # arrays that grow, and keys of maps
+    # growing arrays, and keys of maps
     Fault("append", "(i64.const 1)", "(i64.const 2)", ".append("),
     Fault("remove", "(i64.const 0))", "(i64.const 1))", ".remove("),
     Fault("remove_last", "(i64.store (local.get $p) (i64.const 0))", "", ".pop("),
     _runtime("$grow", "(i64.const 4)", "(i64.const 3)", ".append("),
     _runtime("$str_hash", "0xCBF29CE484222325", "0xCBF29CE484222326", "m0"),
-    # monitors across calls, and what is thrown through them, or through a finally
+    # monitors across calls, and exceptions through them or through a finally
     Fault("frame", "i64.ne (local.get $x) (global.get $thread)", "i32.const 0", "synchronized"),
     Fault(PROGRAM, "i64.sub", "i64.add", "synchronized", "$unwind"),
     Fault(PROGRAM, "(i64.eqz (i64.load", "(i64.eq (i64.const -1) (i64.load", "synchronized", "$unwind"),
@@ -129,7 +129,7 @@ def planted(fault: Fault) -> Iterator[None]:
 
 
 def finder(fault: Fault, count: int) -> int | None:
-    """The first of so many programs that finds it, None if none does; who cannot are not tried."""
+    """The first of `count` seeds whose program shows the fault, or None."""
     with quick_code(), planted(fault):
         for seed in range(count):
             text = random_program(random.Random(seed)).text()

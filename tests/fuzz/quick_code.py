@@ -1,8 +1,8 @@
-"""Cheap machine code for the fuzzer: what it compares is the lowering of L, not the optimiser of wasmtime.
+"""Cheap machine code for the fuzzer, which compares the lowering of L, not the optimiser of wasmtime.
 
-Code without optimisation takes less than half of the time to compile. In a mutant, methods that have not
-changed are left to the reference engine in part, as methods are that WebAssembly does not support: then the
-engines also take over from each other at calls, returns and exceptions.
+Code without optimisation compiles in less than half of the time. In a mutant, some unchanged methods are left
+to the reference engine, like methods that WebAssembly does not support: then the engines also take over from
+each other at calls, returns and exceptions.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lfield.vm.wasm.lowering.module_lowering import called_methods
 from lfield.vm.wasm.stack_depth import STACK
 from lfield.vm.wasm.wasm_compiler import settings
 
-#: What differs from the settings of the product; values that are not in registers need more stack.
+#: Differences from the settings of the product; values outside registers need more stack.
 _SETTINGS = {"cranelift_opt_level": "none", "max_wasm_stack": 2 * STACK}
 #: Share of the unchanged methods of a mutant that are compiled.
 _COMPILED = 0.3
@@ -55,14 +55,14 @@ def quick_code() -> Iterator[None]:
 
 @contextmanager
 def prepared_once() -> Iterator[None]:
-    """Engines that are created meanwhile share the steps of a program."""
+    """Engines that are created in this context share the prepared program."""
     with patch.object(reference_engine, "prepare", _prepared):
         yield
 
 
 @contextmanager
 def partly_compiled(changed: Collection[int]) -> Iterator[None]:
-    """Of what is compiled meanwhile, methods that are not `changed` may be left to the reference engine."""
+    """In this context, methods that are not `changed` may be left to the reference engine."""
 
     def some_methods(program: Program) -> list[int]:
         dice = random.Random(program.digest)

@@ -1,9 +1,9 @@
-"""Spoil the table of the engine in WebAssembly, row by row, and report mistakes that random programs miss.
+"""Changes the table of the WebAssembly engine, row by row, and reports faults that random programs miss.
 
     python tests/fuzz/spoiled_rows.py [PROGRAMS]
 
-One word of a row is replaced, or an exit line is omitted. A mistake that stays unnoticed is not reached
-by the fuzzer, or has no effect.
+One word of a row is replaced, or an exit line is omitted. An undetected fault is not reached by the fuzzer,
+or has no effect.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lfield.vm.wasm import machine_code
 from lfield.vm.wasm.lowering.instruction_table import ROWS
 from lfield.vm.wasm.wasm_engine import WasmEngine
 
-#: Words, and what they become.
+#: Words and their replacements.
 _WORDS = {
     **{f"{kind}.add": f"{kind}.sub" for kind in ("i64", "f64")},
     **{f"{kind}.sub": f"{kind}.add" for kind in ("i64", "f64")},
@@ -43,7 +43,7 @@ _WORDS = {
 
 
 def spoiled(row: str) -> Iterator[tuple[str, str]]:
-    """The row with one mistake, and which."""
+    """The row with one fault, and its description."""
     for word, other in _WORDS.items():
         if word in row:
             yield row.replace(word, other, 1), f"{word} for {other}"
@@ -54,7 +54,7 @@ def spoiled(row: str) -> Iterator[tuple[str, str]]:
 
 
 def noticed(programs: list[tuple[Program, str]], opcode: str) -> int:
-    """The number of the program that tells, -1 for none."""
+    """The number of the first program that shows the fault, or -1."""
     for seed, (program, text) in enumerate(programs):
         if any(BY_CODE[quad.op].name == opcode for quad in program.quads):
             machine_code._recent.clear()
@@ -64,7 +64,7 @@ def noticed(programs: list[tuple[Program, str]], opcode: str) -> int:
 
 
 def main(count: int) -> None:
-    """Try every mistake of every row."""
+    """Try every fault of every row."""
     texts = [random_program(random.Random(seed)).text() for seed in range(count)]
     programs = [(compiled(text), text) for text in texts]
     made = missed = 0

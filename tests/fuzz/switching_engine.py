@@ -1,7 +1,7 @@
 """Engines for tests: one compares two step by step, one switches between them at random.
 
-Each slice is executed on a copy of the block by the reference engine, and in place by the other one or by
-both in turn; then exit, budget and every byte of the block must be equal.
+The reference engine executes each slice on a copy of the block; the other engine, or both in turns, execute
+the slice in place. Then exit, budget and every byte of the block must be equal.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from lfield.vm.engine_interface import (
 from lfield.vm.memory.block import Block
 from lfield.vm.reference import ReferenceEngine as Reference
 
-#: Reason for a skipped test without wasmtime.
+#: The reason of a skipped test without wasmtime.
 NEEDED = "the engine in WebAssembly needs wasmtime: pip install lfield[wasm]"
 
 
 class SwitchingEngine(EngineWrapper):
     """Executes parts of each slice on one of two engines at random.
 
-    `compared`: the reference engine repeats everything on a copy for comparison.
+    With `compared` the reference engine repeats every slice on a copy.
     """
 
     def __init__(self, first: Engine, second: Engine, rng: random.Random, compared: Engine | None) -> None:
         super().__init__(second)
         self._engines, self._rng, self._compared = (first, second), rng, compared
         self.pace = 1
-        #: How often each of them was used.
+        #: The number of uses of each engine.
         self.given = [0, 0]
 
     def run(
@@ -49,7 +49,7 @@ class SwitchingEngine(EngineWrapper):
         limits: AgentLimits,
         readings: Sequence[Reading | None] = (),
     ) -> EngineExit:
-        """As every engine; raises AssertionError on a difference."""
+        """Run a slice; raises AssertionError on a difference."""
         before = _copy(block)
         leave = self._parts(block, thread, budget, limits, readings)
         if self._compared is not None:
@@ -84,11 +84,11 @@ class SwitchingEngine(EngineWrapper):
         return BUDGET_EXHAUSTED
 
     def complete(self, block: Block, thread: int, value: int) -> None:
-        """By either engine."""
+        """Complete on a random engine."""
         self._rng.choice(self._engines).complete(block, thread, value)
 
     def throw(self, block: Block, thread: int, thrown: int) -> bool:
-        """By either engine."""
+        """Throw on a random engine."""
         return self._rng.choice(self._engines).throw(block, thread, thrown)
 
 

@@ -1,4 +1,4 @@
-"""The fuzzer finds planted faults, reports no difference between equal engines, and reduces its findings."""
+"""The fuzzer finds planted faults, reports no difference between equal engines, and reduces findings."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Wasm
 from planted_engines import PLANTED, WrongOpcode
 from planted_texts import FAULTS, Fault, finder
 
-#: Programs in which a planted fault must be found.
+#: The number of programs within which a planted fault must be found.
 _SOON = 400
-#: Exceptions of hypothesis, which reduces failures too.
+#: Exceptions of hypothesis, which also reduces failures.
 DICE = st.randoms(use_true_random=False)
-#: Instructions of devices, and offers within a together, which only golden programs have.
+#: Device instructions and offers within a together, which only golden programs use.
 _BEYOND = {"device", "settle"}
 
 
@@ -66,7 +66,7 @@ def test_engine_compared_with_itself_shows_no_difference() -> None:
 
 
 def test_webassembly_engine_shows_no_difference() -> None:
-    """`python tests/fuzz/fuzz.py` runs as many programs as there is time for."""
+    """`python tests/fuzz/fuzz.py` runs more programs."""
     fuzz = EngineFuzzer(Wasm, mutants=3)
     assert [report for seed in range(4) for report in fuzz.seed(seed)] == []
 
@@ -80,7 +80,7 @@ resource Sleeper { init(string[] arg) { } loop beat at 1.0 { sleep(1.0e10); } }
     assert (outcome.differences, outcome.instructions > 20) == ((), True)
 
 
-# 2,000 examples take three minutes on an idle machine, and hypothesis shrinks for up to five.
+# 2,000 examples take three minutes on an idle computer, and hypothesis shrinks for up to five minutes.
 @pytest.mark.timeout(1200)
 def test_engines_agree_on_programs_of_hypothesis(pytestconfig: pytest.Config) -> None:
     @given(DICE, st.integers(0, 1000))
@@ -104,7 +104,7 @@ def test_difference_is_reduced(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_difference_is_reported_before_its_reduction() -> None:
-    """With the command that reproduces it, before anything is removed."""
+    """The first report has the unreduced program and the command that reproduces the difference."""
     fuzz = EngineFuzzer(WrongOpcode, mutants=0)
     seed, report = next((seed, report) for seed in range(_SOON) for report in fuzz.seed(seed))
     again = f"--count 1 --seed {seed} --mutants 0 --engine {WrongOpcode.__module__}:WrongOpcode"
@@ -115,7 +115,7 @@ def test_difference_is_reported_before_its_reduction() -> None:
 def test_ctrl_c_prints_the_findings(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The smallest program so far, and the counts."""
+    """The findings are the smallest program so far, and the counts."""
 
     def interrupted(piece: ProgramPiece, shows: Callable[[], bool]) -> None:
         assert shows()
@@ -130,7 +130,7 @@ def test_ctrl_c_prints_the_findings(
 
 
 def test_mutants_are_accepted_and_different() -> None:
-    """The verifier accepts them, and they differ from their program."""
+    """The verifier accepts mutants, and mutants differ from their program."""
     program = compiled(random_program(random.Random(5)).text())
     mutant, edits = random_edits(program, random.Random(6), 8)
     assert len(edits) >= 4

@@ -124,7 +124,7 @@ class Fleet:
                 await asyncio.sleep(0.01)
 
     async def ended(self, agent: str) -> str:
-        """The outcome of a coordinator, as soon as any host knows it."""
+        """The outcome of a coordinator, as soon as any host has it."""
         outcomes: list[str] = []
 
         def known() -> bool:

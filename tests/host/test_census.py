@@ -47,7 +47,7 @@ async def test_one_cut_link_with_a_live_coordinator_is_no_loss(team, /, edge, wa
     await team.until(lambda: any(running.output for running in hosts))
     team.network.partition(*edge)
     if "&" in way:
-        # Hosts cannot be called over the cut link; it returns in time.
+        # Hosts cannot be called over the cut link, which returns in time.
         asyncio.get_running_loop().call_later(15.0, team.network.heal, *edge)
     fates = await all_fates(hosts)
     assert [fate.outcome for fate in fates] == ["done"] * 3, [running.log for running in hosts]

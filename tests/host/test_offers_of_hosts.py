@@ -228,7 +228,7 @@ async def test_a_program_without_capabilities_causes_no_queries_and_messages(tea
     await asyncio.sleep(10.0)
     assert team.network.sent["DirectoryUpdate"] == 0
     assert near.asked == far.asked == 0
-    # Whether they can be called is still known.
+    # Their availability is still known.
     assert [(t.agent, t.refusal, t.facts) for t in alpha.host.status().directory] == [
         ("near", "", {}),
         ("small", "", {}),

@@ -176,7 +176,7 @@ async def test_hosts_restarted_after_the_last_end_all_end(team, /):
     mission = team.mission(NEVER_AWAY, TWO_HOMES)
     before = await team.up(mission, keeps=True)
     await team.until(lambda: all(len(_ends(one)) == 2 for one in before))
-    # They cannot store that the run is over, like hosts that are killed.
+    # Like killed hosts, they cannot store that the run is over.
     for disk in team.disks.values():
         disk.full, disk.reserve = True, 0
     for one in before:

@@ -55,7 +55,7 @@ class Assistants:
     def tried(self, who: str, what: str) -> bool:
         """Whether the host executes the call, or the service accepts the start.
 
-        `own-`: of the person, without an assistant.
+        The prefix `own-` selects actions of the person, without an assistant.
         """
         person, access = ROWS[who]
         is_assistant = not what.startswith("own-")
@@ -68,7 +68,7 @@ class Assistants:
         )
 
     def _make_caller(self, person: str, access: str) -> CallingPerson:
-        # One for all calls: each draws another id.
+        # One sender for all calls: each call draws another id.
         return CallingPerson(self._fleet(access), person or "joe", kind="person" if person else "local")
 
     def _start_fleet(self, access: str):

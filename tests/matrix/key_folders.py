@@ -17,7 +17,7 @@ from lfield.mission import bundle
 from lfield.mission.loader import load_mission
 
 DAY = 86400.0
-#: By column: the host that starts, and its minimum lifetime in seconds.
+#: The host that starts, and its minimum lifetime in seconds, by column.
 STARTS = {"alpha": ("alpha", 3600.0), "bravo": ("bravo", 3600.0), "long": ("alpha", 10 * DAY)}
 FILES = {
     ".L": "coordinator Idler { init(string[] arg) { } }\n",

@@ -1,7 +1,7 @@
 """A peer on a host's link that knows the protocol and may violate it.
 
-None of lfield's own links is used: OpenSSL over a socket, and frames as bytes. Only `ask_at_socket`
-does as a command of lfield does.
+The peer uses OpenSSL over a socket and frames as bytes instead of lfield's links. Only `ask_at_socket` uses
+the code of lfield's commands.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lfield.wire.codec import TRANSFER, decode, encode, frame_decoder, limits
 from lfield.wire.messages import Message, Ping, Pong
 from lfield.wire.observer_messages import EmergencyStopResult
 
-#: Size of a transfer block; no transfer is that long here.
+#: The size limit of a transfer block, which no transfer reaches.
 _BLOCK = 1 << 16
 #: Seconds for a host to answer or to close the connection.
 TIMEOUT = 60.0
@@ -149,7 +149,7 @@ async def send_messages(
 ) -> None:
     """Send these messages on a link, until the host has received all or closes the connection.
 
-    `between` is called after the host has received the first message, the greeting.
+    `between` is called after the host has received the first message, the Hello.
     """
     await attacker.open(address)
     if between is not None:
@@ -163,7 +163,7 @@ async def send_messages(
 
 
 async def repeated(address: str, pieces: list[bytes]) -> Attacker:
-    """Another link, on which the bytes of an earlier one are sent again."""
+    """A new link on which the bytes of an earlier link are sent again."""
     attacker = Attacker(None)
     await attacker.open(address)
     await attacker.repeat(pieces)

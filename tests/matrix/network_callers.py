@@ -127,7 +127,7 @@ class RecordingHost:
 class Caller:
     """The certificate of a peer and its claimed name. `keys` None: no certificate; `tls` False: no TLS.
 
-    A peer that `replays` makes a valid link, and then sends the same bytes on another one.
+    A peer with `replays` opens a valid link, and then sends the same bytes on another link.
     """
 
     keys: Keys | None
@@ -139,7 +139,7 @@ class Caller:
     replays: bool = False
 
     def hello(self, role: Role, name: str = "") -> Hello:
-        """The greeting of the peer: as a host it matches the called host; a command states no mission."""
+        """The Hello of the peer: as a host it matches the called host; a command states no mission."""
         if role == "observer":
             return Hello("observer", name or "observer", 99)
         return replace(
@@ -212,7 +212,7 @@ class Network:
         return any(asyncio.run(self._try(self.callers[who], what, role)) for role in _roles(what))
 
     def tried_at_socket(self, users: Users, who: str, what: str) -> bool:
-        """The same for a user of this computer at the host's Unix socket, also by lfield's own commands."""
+        """Whether a host accepted the action of a local user at its socket, also by lfield's commands."""
         with users.at_socket(who, self._rehearse) as user:
             done = any(asyncio.run(self._try_at_socket(user, what, role)) for role in _roles(what))
             if what in SAID_BY_COMMANDS:
@@ -225,7 +225,7 @@ class Network:
             assert asyncio.run(self._try_at_socket(user, "ps", role)) == (role != "host")
 
     def tried_on_a_link(self, who: str, what: str) -> bool:
-        """The same on a link that was made before the certificate of its peer expired or was revoked."""
+        """Whether a host accepted the action on a link whose certificate expired or was revoked later."""
         kind, event, state = who.split("_")
         caller = self.open_link_callers[kind, event]
         fate = LinkFate(event == "ended", flies=state == "flies")
@@ -233,7 +233,7 @@ class Network:
 
     @cached_property
     def open_link_callers(self) -> dict[tuple[str, str], Caller]:
-        """Peers with an open link, by kind and by the event of their certificate."""
+        """Peers with an open link, by type and by the later event of their certificate."""
         team, end = self.team, NOW + 60.0
         bravo, carl = (Caller(keys) for keys in self._revoked)
         ends = Caller(team.host("bravo", end=end))
@@ -249,9 +249,9 @@ class Network:
         }
 
     async def _try(self, caller: Caller, what: str, role: Role, fate: LinkFate | None = None) -> bool:
-        """One link that greets in a role and sends one message; returns whether the action was accepted.
+        """Open a link in a role and send one message; returns whether the action was accepted.
 
-        A `fate` occurs between the greeting and the rest.
+        A `fate` occurs between the Hello and the message.
         """
         noted, clock = RecordingHost(), ManualClock(NOW)
         admission = self._admission(clock, self.list if fate is None else self.none)
@@ -259,7 +259,7 @@ class Network:
         address = await peers.open("127.0.0.1:0")
         try:
             words = self._messages_for(caller.hello(role, "charlie" if what == "other" else ""), what)
-            between = None if fate is None else partial(self._befall, fate, admission, clock, peers)
+            between = None if fate is None else partial(self._apply_fate, fate, admission, clock, peers)
             attacker = Attacker(context(caller.keys) if caller.tls else None, caller.bent)
             await send_messages(attacker, address, words, between)
             if caller.replays:
@@ -272,7 +272,7 @@ class Network:
             peers.close()
 
     async def _try_at_socket(self, user: SocketUser, what: str, role: Role | None) -> bool:
-        """The same for a user of this computer; without a role by a command of lfield."""
+        """Send one message as a local user; without a role by a command of lfield."""
         noted, clock = RecordingHost(), ManualClock(NOW)
         admission = self._admission(clock, self.list)
         peers = self._peers(noted, clock, admission)
@@ -303,10 +303,10 @@ class Network:
         team = TeamAddresses({host: number for number, host in enumerate(HOSTS)}, ADDRESSES, 0, ())
         return LinkManager(noted, transport, clock, random.Random(1), team, admission)
 
-    def _befall(
+    def _apply_fate(
         self, fate: LinkFate, admission: CertificateAdmission, clock: ManualClock, peers: LinkManager
     ) -> None:
-        """A certificate expires, or a revocation list arrives."""
+        """Let a certificate expire, or a revocation list arrive."""
         admission.is_mission_active = lambda: fate.flies
         if fate.ends:
             clock.advance(120.0)

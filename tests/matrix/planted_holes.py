@@ -1,6 +1,6 @@
 """Holes planted in a copy of lfield, one by one: a cell of the security matrix must fail with each.
 
-A hole that makes no cell fail is a path that the matrix does not test.
+A hole without a failing cell is a path that the matrix does not test.
 """
 
 from __future__ import annotations

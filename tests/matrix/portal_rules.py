@@ -53,7 +53,7 @@ def _tries(kind: str, resource: str, portals: tuple[str, ...]) -> str:
 
 
 def _coordinator(kind: str) -> str:
-    """One resource after the other: a reserved resource is not offered to others."""
+    """A coordinator that tries the resources in sequence: a reserved resource is not offered to others."""
     body = "".join(_tries(*who, portals) for who, portals in PORTALS.items())
     begins = "string me = arg[0];\nsleep(s2f(arg[1]));\n"
     return f'coordinator {kind} {{\ninit(string[] arg) {{\n{begins}{body}print("{THROUGH}");\n}}\n}}\n'
@@ -105,7 +105,7 @@ FILES = {
 
 
 class Portals:
-    """The results of all attempts in that mission."""
+    """The results of all attempts in the mission."""
 
     def __init__(self, folder: Path) -> None:
         for ending, text in FILES.items():

@@ -48,7 +48,7 @@ REQUESTS: dict[str, ServiceMessage] = {
 
 
 class RecordingService:
-    """Answers every request, and records it."""
+    """Records and answers every request."""
 
     def __init__(self) -> None:
         self.done: list[ServiceMessage] = []

@@ -1,8 +1,8 @@
-"""Users of this computer who call a host at its Unix socket, and the user that runs the host.
+"""Local users that connect to the Unix socket of a host, and the user that runs the host.
 
-Each caller is a process of its own. If root runs the tests, it is a process of that user with its groups,
-this process runs the host as another user meanwhile, and the kernel reports each to the other. Other
-users cannot change their identity: for other callers the answers of the kernel are replaced.
+Each caller is a separate process. If root runs the tests, the caller runs as its user with the user's groups,
+this process runs the host as another user, and the kernel reports the peer credentials to both. Without root
+no process can change its user: the answers of the kernel are replaced for the other callers.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from lfield.wire.codec import CONTROL, decode, encode
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import Message
 
-#: Linux: the other groups of the process at the other end.
+#: Linux: the supplementary groups of the peer process.
 _SO_PEERGROUPS = 59
 _ROOTS_TESTS = os.geteuid() == peer_credentials.ROOT
 #: The line that makes the process change to its user.
@@ -81,7 +81,7 @@ class Outcome(msgspec.Struct):
     answered: bool = False
 
 
-class Cast(msgspec.Struct):
+class SocketRow(msgspec.Struct):
     """The caller, the user that runs the host, and the name of the group on this computer."""
 
     caller: User
@@ -120,10 +120,10 @@ class Users:
         """
         caller, host = SOCKET_USERS[who]
         if who not in self._known:
-            process = self._left.enter_context(_process(Cast(caller, host, peer_credentials.GROUP)))
+            process = self._left.enter_context(_process(SocketRow(caller, host, peer_credentials.GROUP)))
             user = self._known[who] = SocketUser(process, f"unix:{self._folder}/door")
             rehearse(user)
-            user.become_it()
+            user.change_user()
         with _acting_as(host, caller):
             yield self._known[who]
 
@@ -135,8 +135,8 @@ class SocketUser:
     _process: subprocess.Popen[bytes]
     _socket: str
 
-    def become_it(self) -> None:
-        """Change to the user; until now the process had the user of the tests."""
+    def change_user(self) -> None:
+        """Change from the user of the tests to this user."""
         self._answer(_BECOME)
 
     async def listen(self, peers: LinkManager) -> None:
@@ -175,7 +175,7 @@ def _group() -> str:
 
 
 @contextmanager
-def _process(cast: Cast) -> Iterator[subprocess.Popen[bytes]]:
+def _process(cast: SocketRow) -> Iterator[subprocess.Popen[bytes]]:
     """The process of a user, until its input ends."""
     command = [sys.executable, __file__, msgspec.json.encode(cast).decode()]
     folders = [str(Path(__file__).parent), *sys.path]
@@ -186,10 +186,10 @@ def _process(cast: Cast) -> Iterator[subprocess.Popen[bytes]]:
 
 @contextmanager
 def _acting_as(user: User, other: User) -> Iterator[None]:
-    """Act as a user for a while, with another user at the other end of every Unix socket."""
+    """Act as a user within this context, with another user as the peer of every Unix socket."""
     with pytest.MonkeyPatch.context() as patch:
         if not _ROOTS_TESTS:
-            _stand_in(patch, user, other)
+            replace_peer_credentials(patch, user, other)
             yield
             return
         groups = os.getgroups()
@@ -207,7 +207,7 @@ def _acting_as(user: User, other: User) -> Iterator[None]:
 # --- both processes -----------------------------------------------------------------------------------------
 
 
-def _stand_in(patch: pytest.MonkeyPatch, user: User, other: User) -> None:
+def replace_peer_credentials(patch: pytest.MonkeyPatch, user: User, other: User) -> None:
     """Replace the kernel's answers about another user; nothing if both are the user of the tests."""
     if user.number == other.number == os.geteuid() and not user.member and not other.member:
         return
@@ -230,7 +230,7 @@ def _stand_in(patch: pytest.MonkeyPatch, user: User, other: User) -> None:
 
 def main() -> None:
     """Perform tasks, first as the user of the tests, and then permanently as another user."""
-    cast = msgspec.json.decode(sys.argv[1], type=Cast)
+    cast = msgspec.json.decode(sys.argv[1], type=SocketRow)
     peer_credentials.GROUP = cast.group
     for line in sys.stdin.buffer:
         outcome = Outcome()
@@ -241,9 +241,9 @@ def main() -> None:
         print(msgspec.json.encode(outcome).decode(), flush=True)
 
 
-def _become(cast: Cast) -> None:
+def _become(cast: SocketRow) -> None:
     if not _ROOTS_TESTS:
-        _stand_in(pytest.MonkeyPatch(), cast.caller, cast.host)
+        replace_peer_credentials(pytest.MonkeyPatch(), cast.caller, cast.host)
         return
     os.setgroups(cast.caller.groups)
     os.setgid(cast.caller.number)

@@ -1,8 +1,8 @@
 """Every cell of the security matrix, tested where a host decides: on its links, at its Unix socket, at the
 start by `lfield up`, and in its machine. `planted_holes.py` checks that cells detect missing checks.
 
-`pytest -s` prints how many agree with the intention. A cell with a known deviation also fails when that
-changes: then the table must be updated.
+`pytest -s` prints the number of cells without deviation. A cell with a known deviation also fails when the
+deviation disappears: then the table must be updated.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def of(way):
 
 
 def assert_as_marked(cell: Cell, done: bool) -> None:
-    """The present behaviour equals the mark, also where it deviates from the intention."""
+    """The current behaviour equals the mark, also for a known deviation from the intention."""
     assert done == (cell.done if cell.kept else not cell.done), (
         f"{cell.name}: {'done' if done else 'refused'}"
     )

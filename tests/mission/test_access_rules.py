@@ -1,4 +1,4 @@
-"""The meaning of rules: the most specific line decides; persons lose omitted rights, but never the stop."""
+"""The meaning of rules: the most specific line decides; persons lose omitted rights except the stop."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_any_rules_of_a_bundle_allow_a_call_or_refuse_it_with_the_rule(
     rules = decode_access(encode_access(access(*callers)))
     told = rules.refusal(coordinator, resource, portal)
     assert not told or f"{FILE}:" in told
-    # One more line for just this resource allows it, with any other lines.
+    # One more line for this resource allows the call, with any other lines.
     let_in = CallerRule("agent", coordinator.id, 1, (PortalRule("agent", resource.id, 2, (portal,)),))
     assert access(let_in, *callers).refusal(coordinator, resource, portal) == ""
 

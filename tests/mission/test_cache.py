@@ -1,4 +1,4 @@
-"""Cached bundles: when one is used, when it is built again, and which are not trusted."""
+"""Cached bundles: reuse, rebuild, and untrusted bundles."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lfield.text.secure_files import lock_private_folder
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of this test's own."""
+    """A separate cache for the test."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     found = cache_folder()
     assert found is not None
@@ -105,7 +105,7 @@ def test_only_python_modules_of_a_module_folder_count(
     monkeypatch.setattr(build_cache, "subprocess", subprocess)
     order = BuildRequest(write_plain(tmp_path / "here"))
     bytes_of(order)
-    # As tools leave their caches in their working folder.
+    # Tools leave caches in their working folder.
     (modules / ".cache").mkdir()
     (modules / "__pycache__").mkdir()
     bytes_of(order)

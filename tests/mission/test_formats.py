@@ -83,7 +83,7 @@ def test_a_dump_of_an_earlier_release_is_explained(path: Path) -> None:
     assert (record.host, record.members) == ("alpha", ("left", "boss"))
     assert program.units["Loader"] == "coordinator"
     assert block.trail() == [1, 0]
-    # Its proxies have no field for a start.
+    # The proxies of that release have no field for a start.
     shown = view(block, program, record.members).threads[0].frames[0].locals
     assert dict(shown)["arm"] == "proxy of left"
 

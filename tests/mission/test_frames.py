@@ -1,4 +1,4 @@
-"""The frame of a team: origins and poses in a devices file, their mistakes, and their effects."""
+"""The frame of a team: origins and poses in a devices file, their errors and effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`check` finds mistakes between the files of a mission, at their place and with a hint."""
+"""`check` finds inconsistencies between the files of a mission, with place and hint."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_an_argument_read_in_a_block_that_is_always_entered_is_required(
 
 @pytest.mark.parametrize("index", ["9223372036854775807", "2147483648", "-1", "1 + 2"])
 def test_an_argument_with_any_constant_index_is_required(tmp_path: Path, index: str) -> None:
-    """Also one of billions, without as many placeholders in the hint."""
+    """An index of billions gives a short hint, without a placeholder for each argument."""
     path = mission(tmp_path, DEPLOYMENT.replace("?rover1&b&c", "?rover1&b"))
     program = path.with_suffix(".L")
     program.write_text(program.read_text().replace("arg[3]", f"arg[{index}]"))

@@ -1,4 +1,4 @@
-"""The mission as a host runs it: its own drivers are those installed there, and it knows all vehicles."""
+"""The mission on a host: only its own drivers are installed, and it has the vehicles of all hosts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_a_host_without_a_driver_knows_the_vehicles_of_other_hosts(example):
         entries = [EntryPoint(name, f"here.{name}:PLUGIN", GROUP) for name in own]
         found = with_installed_drivers(mission, host, entries)
         assert {each: found.vehicles_of(each) for each in hosts} == vehicles
-        # A recording has the same.
+        # A recording has the same vehicles.
         assert bundle.decode(bundle.encode(found)).team.hosts == hosts
         for name, driver in found.drivers.by_driver.items():
             assert driver.reference.startswith("here.") == (name in own)

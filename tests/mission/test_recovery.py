@@ -159,7 +159,7 @@ def test_a_team_of_two_gets_the_hint_to_add_a_witness(write: Write) -> None:
     (found,) = mission_problems(write(4, "recovery: {members: [h3, h1]}"))
     problem = found.render()
     assert "when one of h1 and h3 is lost" in problem
-    # Another host would not become a member by itself.
+    # Another host does not become a member automatically.
     assert "name at least three hosts in 'recovery: {members: [...]}'" in problem
     assert "witness" not in problem
 

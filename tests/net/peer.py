@@ -28,7 +28,7 @@ def say(text: str) -> None:
 
 
 class Owner:
-    """Needs links with all other hosts and ignores their messages."""
+    """Keeps links with all other hosts and ignores their messages."""
 
     def __init__(self, name: str, others: Collection[str]) -> None:
         self._name, self._others, self._life = name, others, random.getrandbits(62) + 1

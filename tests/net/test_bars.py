@@ -1,4 +1,4 @@
-"""For how long a member that sent too much is banned."""
+"""The duration of the ban of a member that sent too much."""
 
 from lfield.net.scheduling.temporary_bans import FIRST_BAN, LONGEST_BAN, RESET_AFTER, TemporaryBans
 

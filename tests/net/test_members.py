@@ -55,7 +55,7 @@ def runner():
 async def test_member_messages_take_at_most_a_slice_of_each_turn_of_the_loop(inn, /):
     bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
     before = inn.work
-    # Both in the same turn.
+    # Both members are read in the same turn.
     bravo.say(PINGS)
     charlie.say(PINGS)
     assert SLICE <= inn.work - before <= SLICE + COST

@@ -1,4 +1,4 @@
-"""Snapshots of hosts for tests, as hosts send them and as the read model has them."""
+"""Snapshots of hosts for tests, in the form of messages and of the read model."""
 
 from __future__ import annotations
 

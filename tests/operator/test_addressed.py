@@ -1,4 +1,4 @@
-"""The hosts that a command asks, and their addresses: each host once, at the socket of its user."""
+"""The hosts that receive a command, and their addresses: each host once, at the socket of its user."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TEAM = team_of(ROWS, {"Post": "resource"}, {"bravo": 9})
 
 
 def run(id: str, *here: str, team=TEAM, file="/m/tour.dL", **addresses: str) -> Run:
-    """A run of some hosts, which knows all of the team at these addresses."""
+    """A run of some hosts of a team with these addresses."""
     reached = team.addresses_by_host | addresses
     doors = {host: f"{host}.sock" for host in here}
     return Run(Path(f"/run/{id}"), RunManifest(file, team.deployment.hex(), 7, 1.0, 60.0, reached, doors))
@@ -68,7 +68,7 @@ def test_remote_hosts_are_asked_at_the_addresses_of_the_run():
 
 
 def test_runs_of_single_hosts_of_a_mission_are_one_team():
-    """Two services on one computer: each knows the other at its address, and that is asked once."""
+    """Two services on one computer: each has the address of the other, which is used once."""
     bravo, alpha = run("tour-00000002", "bravo"), run("tour-00000001", "alpha")
     (party,) = targets_of_runs([bravo, alpha])
     assert party.runs == (bravo, alpha)
@@ -219,7 +219,7 @@ NAMES_BY_ADDRESS = [
 
 @pytest.mark.parametrize(("of_one", "of_other"), NAMES_BY_ADDRESS)
 def test_hosts_of_a_team_that_run_here_singly_are_one_team(of_one, of_other):
-    """Each run knows the other's host by another address, as in `--map bravo=localhost:9`."""
+    """Each run has another address of the other's host, as in `--map bravo=localhost:9`."""
     one, other = run("tour-00000001", "alpha", **of_one), run("tour-00000002", "bravo", **of_other)
     party = single_target(targets_of_runs([one, other]))
     assert party.addresses == {

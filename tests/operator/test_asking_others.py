@@ -24,9 +24,7 @@ from lfield.wire.subscription_messages import EventBatch
 
 
 class Doors:
-    """Sockets without answers: refused at once where `listens` is false, else silent. Counts requests at a
-    time.
-    """
+    """Sockets without answers: refused if `listens` is false, else silent. Counts concurrent requests."""
 
     def __init__(self, listens: Callable[[str], bool]) -> None:
         self._listens = listens
@@ -137,7 +135,7 @@ def test_claimed_hosts_of_one_user_are_one_line():
 
 @pytest.fixture
 def doors():
-    """A folder with a socket that listens and never accepts, as the manifest of a run names it."""
+    """A folder with a socket of a manifest that listens and does not accept connections."""
     with tempfile.TemporaryDirectory(prefix="lf-") as path, socket.socket(socket.AF_UNIX) as listening:
         listening.bind(f"{path}/x.sock")
         listening.listen(4096)

@@ -211,7 +211,7 @@ def test_a_user_does_not_trust_a_host_of_a_third_user(other_user, monkeypatch):
 
 
 def asked_of(user: int, request, heard: list[object] | None = None):
-    """The answer of a host that this user runs: the kernel names the user of the listening process."""
+    """The answer of a host of this user: the kernel reports the user of the listening process."""
     host = Alpha()
 
     async def story(door: str):
@@ -236,7 +236,7 @@ def asked_of(user: int, request, heard: list[object] | None = None):
 
 
 def test_an_internal_error_is_raised_and_not_retried(ring, monkeypatch):
-    """Taken for an unreachable host, it would be retried, and the error would stay hidden."""
+    """A retry, as for an unreachable host, would hide the error."""
     host, called = Alpha(), []
     host.called = lambda link: called.append(link) or host
 

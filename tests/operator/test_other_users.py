@@ -17,7 +17,7 @@ from lfield.operator.targets import TargetTeam, open_team
 
 
 def claimed(*hosts: str, mission="/m/tour.dL", rest_within=60.0) -> Run:
-    """A run of mallory, which listens nowhere."""
+    """A run of mallory without a listener."""
     doors = {host: f"{number}.sock" for number, host in enumerate(hosts)}
     note = RunManifest(mission, "d" * 64, 7, 1.0, rest_within, dict.fromkeys(hosts, "127.0.0.1:1"), doors)
     return Run(Path("/nowhere/tour-0a1b2c3d"), note, "mallory", is_foreign=True)

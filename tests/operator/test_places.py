@@ -1,4 +1,4 @@
-"""The places of runs: in directories that no other user can change, open to the group where possible."""
+"""The directories of runs: no other user can change them; they are open to the group where possible."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def usual(shared) -> Path:
 
 @pytest.fixture
 def group(monkeypatch) -> int:
-    """The group `lfield`, which this user is in."""
+    """The group `lfield`, with this user as a member."""
     number = GROUP if os.geteuid() == 0 else os.getegid()
     monkeypatch.setattr(peer_credentials, "_group_id", lambda: number)
     return number
@@ -80,7 +80,7 @@ def owned(path: Path, user: int, rights: int = 0o700, group: int = -1) -> Path:
 
 
 def as_user(user: int, groups: Collection[int], work: Callable[[], object]) -> None:
-    """Run something as another user, in a process; its exception fails the test."""
+    """Run a function as another user, in a process; its exception fails the test."""
     child = os.fork()
     if child == 0:
         status = 1
@@ -207,7 +207,7 @@ def test_only_the_directory_named_after_its_owner_is_searched(shared):
 
 
 def test_only_the_run_of_a_member_is_open_to_the_group(usual, tmp_path, monkeypatch, group):
-    """Also with a runtime folder: other users cannot enter that."""
+    """The rule holds also with a runtime folder, which other users cannot enter."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     usual.mkdir(mode=0o700)
     (usual / "sims").mkdir(mode=0o700)
@@ -250,7 +250,7 @@ def test_a_manifest_is_locked_before_a_group_may_read_it(monkeypatch, group):
 
 
 def test_a_user_who_cannot_share_files_is_told_and_the_run_is_found(monkeypatch, group):
-    """As root of a user namespace."""
+    """The test runs as root of a user namespace."""
 
     def refused(*words: object) -> None:
         raise PermissionError(1, "Operation not permitted")
@@ -320,7 +320,7 @@ def test_a_member_can_neither_remove_nor_replace_files_of_another(tmp_path, grou
 def test_a_non_member_has_a_run_of_their_own_that_members_ignore(tmp_path, shared, group):
     with begun_by(MALLORY, ()) as folder:
         assert (mode(folder.parent), mode(folder)) == (0o700, 0o700)
-        # Also when it is open to all: only the group proves that it belongs to a member.
+        # Also a folder that is open to all is not used: only the group proves that it belongs to a member.
         for path, rights in ((folder.parent, 0o755), (folder, 0o755), (folder / "note.json", 0o644)):
             path.chmod(rights)
 

@@ -1,4 +1,4 @@
-"""The team as files and running hosts describe it to a query."""
+"""The team of a query, from files and from running hosts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Queries of the registry: their primitives and condition, and any other input."""
+"""Queries of the registry: their primitives and condition, and invalid input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folders of runs: who may find them, manifests that are not trusted, and remains of killed runs."""
+"""The folders of runs: access, untrusted manifests, and remains of killed runs."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_two_runs_of_one_mission_are_independent():
 
 
 def test_a_run_that_no_command_could_find_does_not_start(folder):
-    """No command could stop it, with any keys."""
+    """No command could stop such a run, with any keys."""
     folder.write_text("a file, not a folder")
     with pytest.raises(OutputFileError) as error, begun():
         pytest.fail("it runs")
@@ -112,7 +112,7 @@ def test_a_run_that_no_command_could_find_does_not_start(folder):
 
 
 def test_a_folder_prepared_by_another_user_is_not_used(folder, tmp_path):
-    """Neither a link nor a directory that others may write to."""
+    """A link or a directory that others can write to is not used."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     folder.symlink_to(elsewhere)
@@ -167,7 +167,7 @@ def test_remains_of_a_killed_run_are_removed(folder):
 
 
 def test_a_run_is_alive_while_a_process_that_inherited_its_lock_is(folder):
-    """As hosts of `up --all` whose parent was killed: they land their vehicles and answer."""
+    """The hosts of `up --all` whose parent was killed land their vehicles and answer."""
     run, lock = runs._create(NOTE, pytest.fail)
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[lock])
     os.close(lock)
@@ -244,7 +244,7 @@ def test_the_runtime_folder_of_another_user_is_not_used(folder, tmp_path, monkey
 
 
 def test_a_login_with_another_environment_finds_the_run(tmp_path, monkeypatch):
-    """Of cron or sudo: no XDG_RUNTIME_DIR."""
+    """cron and sudo set no XDG_RUNTIME_DIR."""
     user = os.geteuid()
     runtime = tmp_path / "run" / "user" / str(user)
     runtime.mkdir(mode=0o700, parents=True)
@@ -300,7 +300,7 @@ def test_root_finds_runs_of_other_users_only_under_their_own_name(tmp_path, monk
 
 @pytest.fixture
 def of_others(tmp_path, monkeypatch):
-    """A run of user 4242, as its process has made it; more of them can be made."""
+    """A function that creates a run of user 4242, as its process does."""
     base = tmp_path / "shared" / "lfield-4242"
     base.parent.mkdir(parents=True, exist_ok=True)
     locks = []

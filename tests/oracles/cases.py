@@ -1,4 +1,4 @@
-"""The cases of golden files: by command, then by case, the command lines that are run one after the other."""
+"""The cases of golden files by command and case name, each a sequence of command lines."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from command_lines import ROOT
 
 Cases = Mapping[str, Mapping[str, Sequence[str]]]
 
-#: All missions of the examples, of which those from 10 on are programs of the thesis.
+#: All missions of the examples; those from 10 on are programs of the thesis.
 MISSIONS = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("examples/*/*.dL"))
 SERVER = "examples/10-client-server/mission"
 LIFT = "examples/02-equivalent-lift/mission"
-#: Files with mistakes, and what is no file of lfield.
+#: Files with errors, and files of other formats.
 _WRONG = "tests/lang/golden/deployments/errors"
 _MISTAKES = (f"{_WRONG}/L701_shape.dL", f"{_WRONG}/L705_duplicate.dL", f"{_WRONG}/L712_empty.dL")
 _PROGRAM_MISTAKES = "tests/lang/golden/errors/L202_member.L"

@@ -1,4 +1,4 @@
-"""Golden files, and the drivers of the examples as if they were installed."""
+"""Golden files, and the drivers of the examples as installed drivers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _EXAMPLES = Path(__file__).parents[2] / "examples" / "conftest.py"
 
 
 def _fixtures_of_examples() -> tuple[object, object]:
-    # pytest knows each conftest.py by the same name, so this one cannot be imported.
+    # All conftest.py files have the same module name, so this one cannot be imported.
     spec = spec_from_file_location("conftest_of_examples", _EXAMPLES)
     assert spec is not None
     assert spec.loader is not None

@@ -17,7 +17,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "golden"
-#: So many characters of one output are stored as they are.
+#: The most characters of an output that are stored completely.
 MOST = 12_000
 _SECTION = re.compile(r"^=== (.*)\n", re.MULTILINE)
 
@@ -36,16 +36,16 @@ class GoldenFile:
         return dict(zip(parts[::2], parts[1::2], strict=True))
 
     def check(self, section: str, text: str) -> None:
-        """Compare a section with what it is now. `text` ends with a line feed."""
+        """Compare a section with the current text, which ends with a line feed."""
         sections = self.sections
         if self._rewrite and sections.get(section) != text:
             self._write(sections | {section: text})
             return
         assert section in sections, f"{self.path.name} has no section '{section}': run pytest with --rewrite"
-        assert text == sections[section], f"'{section}' of {self.path.name} is not as it was"
+        assert text == sections[section], f"'{section}' of {self.path.name} has changed"
 
     def has_only(self, sections: Collection[str]) -> None:
-        """Compare the names of its sections with those of the cases; `--rewrite` drops the others."""
+        """Compare the names of the sections with those of the cases; `--rewrite` removes the others."""
         found = self.sections
         if self._rewrite:
             self._write({section: found[section] for section in sections if section in found})
@@ -59,7 +59,7 @@ class GoldenFile:
 
 
 def shortened(text: str, most: int = MOST) -> str:
-    """The text, or what stands for one of more than so many characters."""
+    """The text, or a digest of a text longer than the limit."""
     if len(text) <= most:
         return text
     return f"({text.count(chr(10))} lines, SHA-256 {digest(text)})\n"

@@ -1,7 +1,7 @@
-"""A simulated team, and the commands of an operator that ask it: real ones, in virtual time.
+"""A simulated team, and real operator commands for it, in virtual time.
 
-The commands run in this process. Where they would run an event loop, the loop of a process on a simulated
-computer runs instead, and the whole team with it.
+The commands run in this process. The event loop of a process on a simulated computer replaces their event
+loop, and runs the whole team.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from lfield.operator import client
 from lfield.simulate.host_fleet import PORT, Fleet, copies, host_at_address
 
 DEPLOYMENT = Path(__file__).parent / "team" / "patrol.dL"
-#: Seconds of virtual time between two looks whether a command has ended.
+#: Seconds of virtual time between two checks for the end of a command.
 STEP = 0.05
-#: Seconds of virtual time that a command may take.
+#: The limit of a command in seconds of virtual time.
 PATIENCE = 200.0
-#: So many characters of one output are kept: all of the status of three hosts as JSON.
+#: The most characters of one output, enough for the status of three hosts as JSON.
 KEPT = 40_000
 
 
 class SimulatedTeam:
-    """The team of `team/patrol.dL`, and a computer beside it on which commands run."""
+    """The team of `team/patrol.dL`, and a computer for the commands."""
 
     def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
         self.fleet = Fleet(load_mission(DEPLOYMENT, simulate=True), seed=1)
@@ -47,18 +47,18 @@ class SimulatedTeam:
         patch.setattr(asyncio, "Runner", partial(_Runner, self._run))
 
     def __call__(self, line: str) -> str:
-        """Run a command line about this mission, and return it with what it prints."""
+        """Run a command line for this mission, and return it with its output."""
         maps = " ".join(f"--map {host}={host}:{PORT}" for host in self.fleet.mission.team.hosts)
         mission = f" --deploy {DEPLOYMENT} {maps}"
         return recorded(line + mission, self._folder, most=KEPT).replace(mission, "")
 
     def wait_for(self, agent: str, host: str) -> None:
-        """Let time go on until a coordinator is on a host."""
+        """Advance time until a coordinator is on a host."""
         while all(start[0] != agent or host not in hosts for start, hosts in copies(self.fleet).items()):
             self.fleet.run(STEP)
 
     def _run(self, work: Coroutine[Any, Any, Any], **_: object) -> Any:
-        """As `asyncio.run`. Raises what the work raises."""
+        """Replace `asyncio.run`. Raises the exceptions of the coroutine."""
         results: list[Callable[[], Any]] = []
 
         async def kept() -> None:
@@ -78,7 +78,7 @@ class SimulatedTeam:
 
 
 class _Runner:
-    """As `asyncio.Runner`, with the one method that commands use."""
+    """Replaces `asyncio.Runner`, with the only method that commands use."""
 
     def __init__(self, run: Callable[..., Any]) -> None:
         self.run = run

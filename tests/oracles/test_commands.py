@@ -1,6 +1,6 @@
 """The output and the exit status of each command are in `golden/COMMAND.txt`.
 
-`make oracles` writes these files anew; `git diff` then shows what a change has changed.
+`make oracles` rewrites these files; `git diff` then shows the effects of a change.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from cases import CASES
 from command_lines import ROOT, transcript
 from golden_files import GoldenFile
 
-#: Commands with a case for each mission of the examples: a run takes a few of them.
+#: Commands with a case for each mission of the examples: a run includes a few of these cases.
 SAMPLED = [name for name, cases in CASES.items() if len(cases) > 10]
 SHORT = [name for name in CASES if name not in SAMPLED]
 
@@ -23,7 +23,7 @@ def of(names: list[str]) -> list[object]:
 
 @pytest.fixture(autouse=True)
 def _own_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where commands look for keys and runs, and how wide they print."""
+    """Set the folders of keys and runs, and the width of the output."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setenv("COLUMNS", "120")

@@ -1,7 +1,7 @@
-"""The stories of 2,000 seeds come to what they came to: `outcomes.txt` has a digest for each.
+"""The outcomes of 2,000 seeds do not change: `outcomes.txt` has a digest for each.
 
-The digests cover what programs, devices and coordinators did in virtual time, and neither names of Python nor
-messages (simulation_testing/invariants/outcome_recorder.py). `make oracles` writes the file anew.
+The digests cover the actions of programs, devices and coordinators in virtual time, without Python names and
+messages (simulation_testing/invariants/outcome_recorder.py). `make oracles` rewrites the file.
 """
 
 from __future__ import annotations

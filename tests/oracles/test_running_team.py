@@ -1,4 +1,4 @@
-"""The output of commands for a running team, which is simulated, is in `golden/running team.txt`."""
+"""The output of commands for a running, simulated team is in `golden/running team.txt`."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ PROGRAMS = sorted((ROOT / "tests" / "golden" / "programs").glob("*.L"))
 
 
 def options_of(parser: argparse.ArgumentParser, command: str) -> Iterator[str]:
-    """A line for each option and subcommand: independent of how a version of Python prints them."""
+    """A line for each option and subcommand, independent of the help format of a Python version."""
     yield f"{command}\n"
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
@@ -33,7 +33,7 @@ def options_of(parser: argparse.ArgumentParser, command: str) -> Iterator[str]:
 
 
 def option(action: argparse.Action) -> str:
-    """Names, values and default of one."""
+    """Names, values and default of an option."""
     names = " ".join(action.option_strings) or action.dest
     known = (
         ("takes", action.metavar or ""),
@@ -59,7 +59,7 @@ def test_an_exit_status_means_what_it_did(golden) -> None:
 
 
 def test_what_tests_of_the_page_look_for_has_the_ids_it_had(golden) -> None:
-    """`data-testid` of the page of `lfield watch`; an id that ends in '-' is followed by a name."""
+    """`data-testid` attributes of the page of `lfield watch`; an id with '-' at the end precedes a name."""
     texts = [path.read_text(encoding="utf-8") for path in (ROOT / "lfield").rglob("*.js")]
     found = {name for text in texts for name in re.findall(r"data-testid=\"'?([\w-]+)", text)}
     golden("page").check("data-testid", "".join(f"{name}\n" for name in sorted(found)))

@@ -1,7 +1,7 @@
-"""The catalogue of planted bugs: what is broken, how it is planted, and the test that must find it.
+"""The catalogue of planted bugs: description, planting function, and the test that must find the bug.
 
     python tests/planted/catalogue.py --write            writes tests/planted/README.md
-    python tests/planted/catalogue.py --run [WORD]       plants every bug whose row has this word in it
+    python tests/planted/catalogue.py --run [WORD]       plants every bug whose row contains this word
 
 `make test` plants a sample, `make test-more` all. A planted bug that no test finds is a gap in the tests.
 """
@@ -31,7 +31,7 @@ TEXT = "edit of the engine's WebAssembly"
 
 @dataclass(frozen=True)
 class BugFinder:
-    """A test that must fail with each bug that it plants; each of its cases is a bug."""
+    """A test that must fail with each bug that it plants; each case is a bug."""
 
     file: str
     test: str
@@ -112,17 +112,17 @@ _IMPORTED = (
 
 @dataclass(frozen=True)
 class PlantedBug:
-    """One row: its name, what is broken, and who finds it."""
+    """One row: the name of a bug, its description, and the test that finds it."""
 
     name: str
     broken: str
     finder: BugFinder
-    #: How many bugs of this test `make test` plants; None for all.
+    #: The number of bugs of this test in `make test`; None for all.
     sample: int | None
 
     @property
     def command(self) -> str:
-        """The command that finds it for certain."""
+        """The command that finds the bug in every run."""
         return "make test" if self.sample is None else "make test-more"
 
 
@@ -139,7 +139,7 @@ def _first_sentence(text: str | None) -> str:
 
 
 def _described(bug: Any) -> tuple[str, str]:
-    """The name of a bug and what is broken: two attributes, or name and docstring of a function or class."""
+    """Name and description of a bug: two attributes, or name and docstring of a function or class."""
     if hasattr(bug, "broken"):
         return bug.name, bug.broken
     return bug.__name__, _first_sentence(bug.__doc__)
@@ -159,7 +159,7 @@ def _bugs_of(finder: BugFinder) -> Iterator[PlantedBug]:
 
 
 def planted_bugs() -> list[PlantedBug]:
-    """All of them, by the test that finds each."""
+    """All planted bugs, by the test that finds them."""
     return [bug for finder in FINDERS for bug in _bugs_of(finder)]
 
 
@@ -210,7 +210,7 @@ def _cell(text: str) -> str:
 
 
 def run(word: str) -> int:
-    """Plant the bugs whose row has this word in it; 0 if each is found."""
+    """Plant the bugs whose row contains this word; returns 0 if each is found."""
     rows = [bug for bug in planted_bugs() if word in f"{bug.name} {bug.broken} {bug.finder.node}"]
     missed = 0
     for finder in FINDERS:

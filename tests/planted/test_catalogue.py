@@ -1,4 +1,4 @@
-"""Every planted bug is in the catalogue, with a sentence on what is broken and the test that finds it."""
+"""Every planted bug is in the catalogue, with a description and the test that finds it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 
 from catalogue import FINDERS, PAGE, ROOT, page, planted_bugs, planting_functions
 
-#: Fewer would mean that some were dropped.
+#: A smaller number would mean that bugs were removed.
 LEAST = 145
 
 
@@ -27,7 +27,7 @@ def test_every_function_that_plants_a_bug_is_in_the_catalogue() -> None:
 
 
 def test_every_test_that_plants_bugs_is_a_finder() -> None:
-    """Tests say so by their names; none of them may be missing from the catalogue."""
+    """Finders are recognised by their names; none of them may be missing from the catalogue."""
     named = {
         f"{path.relative_to(ROOT).as_posix()}::{line.split('(')[0].removeprefix('def ')}"
         for path in (ROOT / "tests").rglob("test_*.py")

@@ -1,4 +1,4 @@
-"""Recordings of a team in virtual time, with that of a guard."""
+"""Recordings of a team and of a guard in virtual time."""
 
 from __future__ import annotations
 

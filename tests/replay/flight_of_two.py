@@ -40,7 +40,7 @@ def write_mission(folder: Path, program: str = PROGRAM) -> Path:
 
 
 def record_flight(folder: Path, seconds: float, time_of_day: float | None = None) -> Mission:
-    """Run the mission for so long; its recordings are in `records` of the folder."""
+    """Run the mission for some seconds; its recordings are in `records` of the folder."""
     mission = load_mission(write_mission(folder), simulate=True)
     run_into(folder / "records", mission, seconds, time_of_day)
     return mission

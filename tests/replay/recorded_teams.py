@@ -56,7 +56,7 @@ WALK_DEPLOYMENT = "//Post:north@north\n//Post:south@south\n//Walker:walker@north
 
 @dataclass(frozen=True, slots=True)
 class RecordedTeam:
-    """A mission as it ran, and the frames of each incarnation, in the order of their starts."""
+    """A mission that has run, and the frames of each incarnation, in the order of their starts."""
 
     mission: Mission
     hosts: tuple[tuple[str, tuple[bytes, ...]], ...]
@@ -113,7 +113,7 @@ def recorded(mission: Mission, memory: RecordingMemory) -> RecordedTeam:
 
 
 def contents_of(frames: Iterable[bytes]) -> Iterator[bytes]:
-    """The contents of frames as they are in a file."""
+    """The contents of frames in the form of a file."""
     for each in frames:
         yield from SegmentReader(BytesIO(MAGIC + each))
 

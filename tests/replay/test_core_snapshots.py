@@ -53,7 +53,7 @@ coordinator Walker {
     }
 }
 """
-#: Futures that are raced, and threads that wait in monitors, for a time, without limit, and for a clock.
+#: Racing futures, and threads that wait in monitors, with a limit, without a limit, and for a clock.
 WAITING_PROGRAM = """
 resource Post {
     int seen;

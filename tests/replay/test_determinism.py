@@ -17,7 +17,7 @@ from lfield.replay.host_replay import HostReplay
 from lfield.text import log_messages
 from lfield.vm.turns.run_limit import RunCuts
 
-# : A replay in a process with other hashes of strings, so with another order of sets.
+#: A replay in a process with another hash seed, so with another order of sets.
 OTHER_SEED = "4711"
 
 

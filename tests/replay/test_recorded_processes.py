@@ -73,7 +73,7 @@ coordinator Boss {
 }
 """
 DEPLOYMENT = "//Post:north@north\n//Post:south@south\n//Walker:walker@north\n"
-#: A killed process loses at most so many seconds.
+#: The most seconds that a killed process loses.
 MAX_LOSS = 1.0
 
 

@@ -203,7 +203,7 @@ def test_a_snapshot_with_a_hostile_object_is_refused(team, checkpoint, name):
 
 
 def test_a_failure_of_the_core_is_a_difference(team):
-    """As of an input that no host could have received."""
+    """An input that no host could have received makes the core fail."""
     entry = DeviceAnswered(7, None, ("arm",))
     turns = [TurnRecord(9.0, BatchDurable(1 << 40)), TurnRecord(9.0, entry)]
     frames = [*team.hosts[0][1][:2], content(turns, b"T", 2)]

@@ -87,7 +87,7 @@ def test_both_hosts_of_a_directory_are_replayed(team, tmp_path, capsys):
 
 
 def test_the_directories_of_several_robots_are_searched(team, tmp_path):
-    """As the copies of `recordings` of each robot; a folder that was copied twice is used once."""
+    """The directories are copies of `recordings` of each robot; a folder copied twice is used once."""
     both(tmp_path / "north", team)
     for folder in (tmp_path / "north").iterdir():
         (tmp_path / "south").mkdir(exist_ok=True)

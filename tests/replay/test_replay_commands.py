@@ -293,7 +293,7 @@ def test_a_debugger_at_a_port_in_use_is_reported(recorded: Path) -> None:
 
 @pytest.mark.process
 def test_commands_of_the_page_after_a_bad_flight_run(recorded: Path, tmp_path: Path) -> None:
-    """All commands of the page but the copies from robots and the web page, on this recording."""
+    """Run all commands of the page except the copies from robots and the web page, on this recording."""
     text = (ROOT / "lfield/docs/after-a-bad-flight.md").read_text(encoding="utf-8")
     shutil.copytree(recorded / "records", tmp_path / "flight")
     write_mission(tmp_path, PROGRAM)

@@ -1,4 +1,4 @@
-"""A confirmation that waited for the disk while the coordinator returned and left its call again."""
+"""A confirmation that waits for the disk while the coordinator returns and leaves its call again."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class FakeProcesses:
     def __init__(self) -> None:
         self.boot = "first boot"
         self.started: list[bytes] = []
-        #: The bundle of each process, b"" for a process that is no host.
+        #: The bundle of each process, b"" for a process other than a host.
         self.alive: dict[int, bytes] = {}
         self.ends: dict[int, asyncio.Future[HostEnd]] = {}
         self.on_change: Callable[[], None] = lambda: None
@@ -231,10 +231,10 @@ class Robot:
         return BundleInfo(sha256(data).digest(), data.decode(), hosts=HOSTS, coordinators=HOMES)
 
     def kill_service(self) -> None:
-        """Only the state on disk remains."""
+        """Kill the service; only the state on disk remains."""
         self.runner.detach()
 
-    # --- what desks and other services send ------------------------------------------------------------
+    # --- messages of desks and other services ----------------------------------------------------------
 
     async def propose(self, proposal: Ballot | None = None) -> BallotState:
         answer = await self.service.answer(Proposal(proposal or ballot()), "anna")

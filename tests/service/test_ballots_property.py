@@ -1,7 +1,7 @@
 """Ballots of up to four hosts in all orders of messages: lost, repeated, late, and with restarts.
 
-A host is its stored state: a restart loses only messages. So every message that was ever sent may arrive at
-any time, any number of times.
+A host consists of its stored state: a restart loses only messages. So every sent message may arrive at any
+time, any number of times.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def own_vote(state: ActivationState, host: str, id: bytes) -> Vote | None:
 
 @dataclass
 class Team:
-    """Hosts by name, the proposals that desks make, and what each host would answer to them."""
+    """Hosts by name, the proposals of desks, and the answers of each host to them."""
 
     states: dict[str, ActivationState]
     proposals: list[Ballot]
     outcomes: dict[bytes, BallotOutcome] = field(default_factory=dict)
 
     def change(self, host: str, state: ActivationState) -> None:
-        """A host stores a state. What was decided, and what was voted, stays so everywhere."""
+        """Store a state of a host. Decisions and votes do not change on any host."""
         before, self.states[host] = self.states[host], state
         for proposal in self.proposals:
             vote = own_vote(before, host, proposal.id)
@@ -63,7 +63,7 @@ class Team:
         self.change(host, ballots.learn(self.states[host], host, id, votes))
 
     def meet(self) -> None:
-        """All hosts reach each other: every bound host asks all others and closes its ballot."""
+        """Connect all hosts: every bound host queries all others and closes its ballot."""
         for host in list(self.states):
             if (bound := self.states[host].open_ballot) is not None:
                 for other in bound.missing:

@@ -115,7 +115,7 @@ def test_host_without_a_restart_asks_no_other_service() -> None:
 
 @scenario(run_with, Bravo(DONE))
 async def test_host_is_not_stopped_before_it_is_up(robot: Robot, /) -> None:
-    """Earlier it would not bring its devices to rest."""
+    """A host that is not up would not bring its devices to rest."""
     robot.probe.is_starting = True
     robot.processes.end(KILLED)
     await asyncio.sleep(SOON)
@@ -160,7 +160,7 @@ def test_new_order_is_not_ended_by_an_earlier_run() -> None:
         await asyncio.sleep(SOON)
         robot.processes.end(KILLED)
         await asyncio.sleep(SOON)
-        # Its last run has ended, this one has not.
+        # The previous run has ended, the current one has not.
         assert robot.runner.is_running
         assert robot.runner.info.order == OTHER
 

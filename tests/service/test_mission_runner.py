@@ -265,7 +265,7 @@ async def test_host_killed_during_a_stop_is_recorded_as_unsafe() -> None:
 
 
 async def test_host_stopped_before_opening_devices_is_safe() -> None:
-    """A host handles SIGTERM early: this signal ends only a host that has just been started."""
+    """A host handles SIGTERM early: the signal ends only a host that has just been started."""
     computer = Computer()
     computer.processes.obeys = False
     for before, after in ((0, ""), (-9, "killed by signal 9")):
@@ -296,7 +296,7 @@ async def test_refusal_ends_restarts() -> None:
     await asyncio.sleep(SOON)
     assert computer.processes.started == [OLD, OLD]
     assert computer.runner.info.phase == "interrupted"
-    # The end, the refusal, and the remedy.
+    # The end of the process, the refusal, and the remedy.
     reason = computer.runner.info.reason
     assert "a ballot is open" in reason
     assert "lfield start" in reason

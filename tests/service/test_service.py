@@ -161,7 +161,7 @@ async def test_file_stored_by_another_desk_is_confirmed() -> None:
 
 
 def _without_bravo(number: int = 1) -> Ballot:
-    """As for `push --without bravo`, or for a mission without bravo."""
+    """A ballot of `push --without bravo`, or of a mission without bravo."""
     return ballot(number, hosts=["alpha"])
 
 
@@ -212,7 +212,7 @@ async def test_bound_host_neither_starts_nor_restarts() -> None:
     assert robot.processes.started == [OLD]
     assert (await robot.start()).trouble
     assert robot.processes.started == [OLD]
-    # The next service does not either.
+    # The next service does not vote either.
     robot.kill_service()
     robot.boot_service()
     await asyncio.sleep(SOON)

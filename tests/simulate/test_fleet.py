@@ -70,7 +70,7 @@ def one_copy(fleet: Fleet) -> None:
 
 
 def stamps(fleet: Fleet) -> Counter[str]:
-    """How often each stamp was made."""
+    """The number of each stamp."""
     said = (text for _, _, text in fleet.log)
     return Counter(text.strip() for text in said if text.startswith("w") and text.endswith("\n"))
 

@@ -66,7 +66,7 @@ def moves_at(fleet: Fleet, device: str, seconds: float = 20.0) -> None:
 
 
 def rests_within(fleet: Fleet, device: str, seconds: float) -> bool:
-    """Whether a device comes to rest, and stays at rest for as long again."""
+    """Return true if a device comes to rest in time, and stays at rest for the same time."""
     fleet.run(seconds)
     rests = not fleet.hardware[device].is_moving
     fleet.run(seconds)

@@ -50,7 +50,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
 
 
 def on_its_way(fleet: Fleet) -> None:
-    """The pilot has used the vehicle of alpha, and is with carol."""
+    """Run until the pilot, which has used the vehicle of alpha, is on carol."""
     fleet.run(10.0)
     assert "pilot" in fleet.lives["carol"].core.machine.agents
     assert fleet.hardware["a.fc"].record[-1].what == "goTo"

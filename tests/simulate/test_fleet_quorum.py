@@ -1,4 +1,4 @@
-"""Another host recovers a coordinator of a lost host, and never beside it. Whole hosts, virtual time."""
+"""Another host recovers a coordinator of a lost host, without a second acting copy. Virtual time."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def logged(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
 
 
 def run_until(fleet: Fleet, what: str, within: float) -> float:
-    """The time of the first line with this text; fail after so many seconds."""
+    """Wait for the first line with this text; returns its time, fails after `within` seconds."""
     end = fleet.now + within
     while fleet.now < end:
         if found := logged(fleet, what):
@@ -80,7 +80,7 @@ def run_until(fleet: Fleet, what: str, within: float) -> float:
 
 
 def holder(fleet: Fleet) -> str:
-    """The host on which the walker runs now, once it is on no hop."""
+    """The host of the walker, once it is not in a hop."""
     while True:
         agents = {name: life.core.machine.agents.get("walker") for name, life in fleet.lives.items()}
         found = [name for name, agent in agents.items() if agent is not None and not agent.frozen]
@@ -103,7 +103,7 @@ def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: 
     gone, at = holder(fleet), fleet.now
     fleet.power_off(gone)
     told = run_until(fleet, "was recovered on", 20.0)
-    # It may have had one more call to make before it came to the lost host.
+    # The walker may have made one more call before it hopped to the lost host.
     last = max([at, *(when + 0.35 for when, _, _ in logged(fleet, "stamp ") if when < told)])
     assert told - last <= INTERVAL + 3.0
     run_until(fleet, "complete", 90.0)
@@ -234,7 +234,7 @@ def test_after_a_permanent_loss_the_others_continue_with_new_members(tmp_path: P
     assert logged(fleet, "restart all hosts with a 'recovery: {members: [...]}' without it")
     fleet.run(20.0)
     assert not logged(fleet, "complete")
-    # A host with the old members gets no link: the two never count in one majority.
+    # A host with the old members gets no link: the two cannot be in one majority.
     recovery = replace(fleet.mission.bindings.recovery, members=(other, kept))
     bindings = replace(fleet.mission.bindings, recovery=recovery)
     fleet.mission = replace(fleet.mission, bindings=bindings)
@@ -269,7 +269,7 @@ def test_a_member_with_an_unreadable_promise_grants_no_lease_before_all_have_ans
     promised = one if other == holder(fleet) else other
     fleet.crash(promised)
     fleet.disks[promised].damage(RecordKey("fence", "walker"))
-    # The successor is cut off, and the old holder is back: it must not act.
+    # The successor is cut off, and the old holder has returned: it must not act.
     for name in (gone, promised):
         fleet.cut(holder(fleet), name)
     at = fleet.now
@@ -333,7 +333,7 @@ def test_an_unreadable_checkpoint_is_reported_once_and_no_older_copy_continues(t
         "'lfield forget walker' ends it\n",
     )
     assert copy.state_message().unreadable
-    # alpha once, charlie twice: between them it had promised alpha, and was in contact by that.
+    # alpha once, charlie twice: in between the host had promised alpha, which counted as a contact.
     assert len(logged(fleet, "walker suspected lost")) == 3
     assert len(logged(fleet, "failover of walker left to alpha")) == 2
     assert not logged(fleet, "was recovered on")

@@ -101,12 +101,12 @@ class Team(Fleet):
         return max(rows, key=lambda row: row.generation, default=None)
 
     def waiting(self) -> list[str]:
-        """Those of the two that do not know whether the other has the coordinator."""
+        """The hosts of the two in doubt about the coordinator."""
         rows = [(host, self.known(host)) for host in ("a", "b")]
         return [host for host, row in rows if row and row.state in ("PREPARED", "IN DOUBT")]
 
     def watch_for(self, seconds: float) -> None:
-        """Let time pass; both are never in doubt."""
+        """Advance time; assert that the two are not both in doubt."""
         end = self.now + seconds
         while self.now < end:
             self.run(0.1)
@@ -131,7 +131,7 @@ def when_it_is_sent(team: Team, strike: Callable[[], None]) -> None:
 
 
 def when_it_has_arrived(team: Team, strike: Callable[[], None]) -> None:
-    """The transfer has arrived; it is not durable there."""
+    """The transfer has arrived, and is not durable."""
     tap(team, "b", "on_transfer", strike, before=False)
 
 
@@ -182,8 +182,7 @@ by_phase = pytest.mark.parametrize("phase", PHASES, ids=lambda phase: phase.__na
 
 
 def judged(team: Team, phase: Callable[[Team, Callable[[], None]], None], ways: str) -> None:
-    """The link breaks in that phase: both know soon, and the coordinator continues although it stays
-    broken."""
+    """Break the link in a phase: both hosts agree soon, and the coordinator continues without the link."""
     team.later(0.5, lambda: phase(team, lambda: team.break_link(ways)))
     team.watch_for(2.5)
     assert team.cut_at < team.now

@@ -65,7 +65,7 @@ class Team(Fleet):
         super().__init__(load_mission(folder / "mission.dL", simulate=True), 1)
 
     def count_logged(self, text: str, host: str = "") -> int:
-        """How often a text was logged."""
+        """The number of log lines with a text."""
         return sum(text in line and host in ("", name) for _, name, line in self.log)
 
     def until(self, text: str) -> None:
@@ -76,7 +76,7 @@ class Team(Fleet):
             self.run(0.05)
 
     def again(self, host: str) -> None:
-        """Crash a host, and start it again at once."""
+        """Crash a host and restart it immediately."""
         self.crash(host)
         self.boot(host)
         self.run(3.0)
@@ -132,7 +132,7 @@ def test_after_a_crash_the_waiting_boss_fetches_the_other_results(tmp_path: Path
     team.until("gives 1")
     team.run(0.1)
     team.again("carol")
-    # It was there only to fetch: none of its actions is unknown, but the call was lost.
+    # The boss was there only to fetch: none of its actions is unknown, but the call was lost.
     team.until("boss: restarted at two")
     assert team.count_logged("boss resumed from the journal", "carol") == 1
     assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
@@ -185,7 +185,7 @@ def test_a_time_limit_ends_a_call_on_an_unreachable_host(tmp_path: Path) -> None
     team.until("leaves 1: the time limit of boss is over")
     assert team.now < began + 5.5
     team.until("boss: late")
-    # After the limit it went to cancel the call, and waited for the host no longer than for any other hop.
+    # After the limit the boss hopped to cancel the call, with the usual wait for the host.
     assert team.now < began + 5.0 + 2 * 10.0 + 2.0
 
 

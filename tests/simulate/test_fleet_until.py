@@ -54,19 +54,19 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
 
 
 def called_at(fleet: Fleet) -> dict[float, float]:
-    """When the program called each climb, by its height, in true time."""
+    """The true time of the program's call of each climb, by its height."""
     climbs = ((at, re.search(r"climb (\d+)", text)) for at, _, text in fleet.log)
     return {float(found[1]): at for at, found in climbs if found}
 
 
 def begun_at(fleet: Fleet) -> dict[float, float]:
-    """When the vehicle received each command."""
+    """The time at which the vehicle received each command."""
     record = fleet.hardware["p.fc"].record
     return {float(str(told.arguments[0])): told.at for told in record if told.what == "takeoff"}
 
 
 def frees(mission: Mission, seed: int) -> Fleet:
-    """The vehicle has been released, and is to climb in 0.2 s: no silence of the host holds it yet."""
+    """Run until the vehicle is released, 0.2 s before a climb: no silence of the host holds it yet."""
     fleet = Fleet(mission, seed)
     while not any("free" in text for _, _, text in fleet.log):
         fleet.run(0.01)

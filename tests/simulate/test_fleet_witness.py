@@ -55,6 +55,6 @@ def test_a_witness_may_restart(mission: Mission) -> None:
     fleet.run(90.0)
     assert not fleet.failed
     assert fleet.lives["ground"] is not first
-    # It learns again how the coordinator ended, from the hosts with the record.
+    # The witness receives the end of the coordinator again, from the hosts with the record.
     rows = fleet.lives["ground"].core.mobility.known_states()
     assert [(row.agent, row.state) for row in rows] == [("boss", "EXITED")]

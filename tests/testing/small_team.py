@@ -48,7 +48,7 @@ class SmallTeam(Fleet):
         """Advance time until a log line contains the text."""
         end = self.now + 60.0
         while not self.said(text):
-            assert self.now < end, f"nobody has said {text!r}: {self.log}"
+            assert self.now < end, f"no line with {text!r}: {self.log}"
             self.run(0.05)
 
     def call(self, portal: str) -> RecordedCall:

@@ -1,4 +1,4 @@
-"""A desk on virtual time: fakes on cables, drivers behind guards, and their faults."""
+"""A desk in virtual time: connected fakes, drivers behind guards, and their faults."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_an_exception_and_a_timeout_of_a_story_are_raised(desk, servo):
 
     with pytest.raises(Stuck, match="the scenario has not ended after 30 s of virtual time"):
         desk.run(waits, servo, within=30.0)
-    # Its guard has ended with it, and the next one finds the port free.
+    # The guard has ended with the host, and the next guard finds the port free.
     assert desk.run(moves, servo) > 0.0
 
 

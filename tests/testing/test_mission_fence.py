@@ -1,4 +1,4 @@
-"""A test of a mission has no access to this computer's devices, network and processes, on any path."""
+"""A mission test has no access to this computer's devices, network and processes, by any way."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def still(tmp_path, lfield_mission) -> MissionTeam:
 
 @pytest.fixture
 def connected():
-    """A socket that was connected before there was a team."""
+    """A socket that was connected before the team existed."""
     with socket.socket() as door:
         door.bind(("127.0.0.1", 0))
         door.listen()
@@ -43,7 +43,7 @@ def connected():
 
 @pytest.fixture
 def accepted(tmp_path):
-    """A connection by a Unix socket that was accepted before there was a team."""
+    """A Unix socket connection that was accepted before the team existed."""
     with socket.socket(socket.AF_UNIX) as door, socket.socket(socket.AF_UNIX) as caller:
         door.bind(str(tmp_path / "door"))
         door.listen()
@@ -56,7 +56,7 @@ def accepted(tmp_path):
 
 @pytest.fixture
 def sleeper():
-    """A process of its own group that was started before there was a team."""
+    """A process in its own group that was started before the team existed."""
     with subprocess.Popen(["/bin/sleep", "60"], start_new_session=True) as one:
         yield one
         one.kill()
@@ -238,7 +238,7 @@ def test_real_access_by_a_drivers_event_loop_is_refused(still, deed, said):
 
 @pytest.fixture
 def door():
-    """A socket with a listener from before there was a team; connections are accepted at once."""
+    """A listening socket from before the team; connections are accepted immediately."""
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         one.listen()

@@ -1,4 +1,4 @@
-"""The position of every agent and the event it waits for, when a mission does not end."""
+"""The report of a mission that does not end: the position of every agent, and its awaited event."""
 
 from __future__ import annotations
 

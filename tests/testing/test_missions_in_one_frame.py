@@ -1,4 +1,4 @@
-"""Vehicles of one team that were switched on at different places, and go to one another's positions."""
+"""Vehicles of one team that were switched on at different places, and move to one another's positions."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ DRIVER = "driver: mavlink, waivers: [device_watchdog], limits: {speed: 10.0}"
 
 @pytest.fixture
 def team(tmp_path, lfield_mission):
-    """The team of some bindings, after all have met."""
+    """The team of some bindings, after all vehicles have moved to the meeting point."""
 
     def run(devices):
         (tmp_path / "m.L").write_text(MISSION)
@@ -73,7 +73,7 @@ def team(tmp_path, lfield_mission):
     return run
 
 
-def told(team, who):
+def reported_position(team, who):
     """The reported position of a vehicle, and its time."""
     (line,) = [line for line in team.log if line.text.startswith(f"boss: {who} ")]
     return line.at, [float(word) for word in line.text.split()[2:]]
@@ -91,24 +91,26 @@ def test_a_vehicle_sent_to_anothers_position_arrives_there(team, devices):
     starts = [points[0][1:3] for points in team.tracks.values()]
     assert min(math.dist(a, b) for a in starts for b in starts if a is not b) > 4.0
     for who in ("car", "low", "high"):
-        moment, place = told(team, who)
+        moment, place = reported_position(team, who)
         assert math.dist(place, truth(team, who, moment)) < 0.35, who
     # ArduPilot stops a rover within 2 m of its goal.
-    assert math.dist(told(team, "car")[1][:2], (12.0, 5.0)) < 2.1
-    assert math.dist(told(team, "low")[1][:2], told(team, "car")[1][:2]) < 0.6
-    assert told(team, "low")[1][2] == pytest.approx(-6.0, abs=0.6)
-    assert math.dist(told(team, "high")[1][:2], told(team, "low")[1][:2]) < 0.6
-    assert told(team, "high")[1][2] == pytest.approx(told(team, "low")[1][2] - 3.0, abs=0.6)
+    assert math.dist(reported_position(team, "car")[1][:2], (12.0, 5.0)) < 2.1
+    assert math.dist(reported_position(team, "low")[1][:2], reported_position(team, "car")[1][:2]) < 0.6
+    assert reported_position(team, "low")[1][2] == pytest.approx(-6.0, abs=0.6)
+    assert math.dist(reported_position(team, "high")[1][:2], reported_position(team, "low")[1][:2]) < 0.6
+    assert reported_position(team, "high")[1][2] == pytest.approx(
+        reported_position(team, "low")[1][2] - 3.0, abs=0.6
+    )
     # Headings and velocities are of the team's north, too.
-    (heading,) = told(team, "heading")[1]
+    (heading,) = reported_position(team, "heading")[1]
     assert math.remainder(heading, math.tau) == pytest.approx(0.0, abs=0.1)
-    began = told(team, "heading")[0]
+    began = reported_position(team, "heading")[0]
     (met,) = [line.at for line in team.log if line.text == "boss: met"]
     # In the first second it still decelerates.
     before, then = truth(team, "high", began + 1.0), truth(team, "high", met)
     assert then[0] - before[0] > 0.5
     assert then[1] == pytest.approx(before[1], abs=0.4)
-    climbed = told(team, "climbed")[1]
+    climbed = reported_position(team, "climbed")[1]
     assert climbed[2] == pytest.approx(then[2] - 2.0, abs=0.6)
     assert math.dist(climbed[:2], then[:2]) < 1.0
 
@@ -138,7 +140,7 @@ coordinator Boss {
     ids=["home", "frame"],
 )
 def test_a_climb_after_a_landing_is_vertical(tmp_path, lfield_mission, frame, to):
-    """Home moves to the place of arming: an earlier position is another one in that frame."""
+    """Home moves to the place of arming, which changes earlier positions in that frame."""
     (tmp_path / "m.L").write_text(CLIMB.replace("TO", to))
     (tmp_path / "m.dL").write_text("//Copter:low@alpha\n//Boss:boss@alpha\n")
     bound = f"low: {{{frame}devices: {{fc: {{{DRIVER}, endpoint: 'udp:h:1'}}}}}}"

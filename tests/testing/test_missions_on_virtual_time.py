@@ -1,4 +1,4 @@
-"""Missions on virtual time with the real drivers and fakes of the examples, and what a test may do."""
+"""Missions in virtual time with the real drivers and fakes of the examples, and the actions of tests."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_links_are_cut_and_hosts_killed_at_the_times_of_the_test(walk):
 def test_an_action_at_a_line_of_l_runs_once(walk):
     team = walk('for (int n = 0; n < 3; n = n + 1) findPost("one").work(0.1);')
     times = []
-    # The call of two, from one's host, and later the start of each round.
+    # The call of agent two, from the host of agent one, and later the start of each round.
     team.when("walk.L:10", lambda: times.append(team.now))
     team.when("walk.L:11", lambda: team.crash("bravo"))
     team.run(until=lambda: "bravo" not in team._fleet.lives)
@@ -115,7 +115,7 @@ def test_an_action_at_a_line_of_l_runs_once(walk):
 
 
 def test_an_action_at_a_line_runs_before_the_line(walk):
-    """Also at lines that never wait: a field's, an init's, the middle of a method, a catch."""
+    """The rule holds for lines without waits: a field, an init, the middle of a method, a catch."""
     for line, last in (("walk.L:11", "works"), ("walk.L:12", "before")):
         team = walk('print("before"); int[] none = null;\nprint("after");')
         team.when(line, lambda team=team: team.crash("bravo"))
@@ -188,7 +188,7 @@ def test_a_wait_for_a_disconnected_host_names_its_call(walk):
 
 
 def test_a_host_that_ends_by_itself_fails_the_test_with_its_log(lfield_mission, tmp_path):
-    # A drive whose bus is dead cannot be opened.
+    # A drive on a failed bus cannot be opened.
     team = lfield_mission(FLIGHT, fakes={"lead.fc": ["silence=true"]})
     with pytest.raises(Stuck, match="alpha has ended by itself") as stuck:
         team.run(until_done=True)
@@ -241,7 +241,7 @@ def test_devices_come_to_rest_in_a_pause(lfield_mission):
     team.run(until="lead: at north")
     team.pause()
     team.run(20.0)
-    # The safe state that its binding chooses is to land.
+    # The safe state of its binding is `land`.
     assert team.fake("lead.fc").facts["airborne"] is False
 
 

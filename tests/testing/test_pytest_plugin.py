@@ -1,4 +1,4 @@
-"""The pytest plugin in other projects: opt-in only, and `lfield test`."""
+"""The pytest plugin in other projects, only by opt-in, and `lfield test`."""
 
 from __future__ import annotations
 
@@ -272,5 +272,5 @@ def test_names_of_devices_at_one_place_do_not_overlap():
     heights = sorted(places[name][1] for name in names[:3])
     assert heights[1] - heights[0] >= LINE
     assert heights[2] - heights[1] >= LINE
-    # Without neighbours, a name is beside its disc.
+    # Without neighbours, a name is next to its disc.
     assert places["far.fc"][1] == places["a.fc"][1]

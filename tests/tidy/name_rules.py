@@ -41,7 +41,7 @@ def _class(node: ast.ClassDef) -> _Bound:
 
 
 def _function(node: ast.FunctionDef | ast.AsyncFunctionDef) -> _Bound:
-    # Names of tests are sentences.
+    # Test names are sentences and may contain these words.
     if not node.name.startswith("test_"):
         yield "function", node.name
 

@@ -100,7 +100,7 @@ def picture() -> str:
 def position_in_row(
     package: str, drawn: PackageImports, places: Mapping[str, tuple[float, float]]
 ) -> tuple[bool, float, str]:
-    """The position of a package in its row: above what it imports; plugins last."""
+    """The position of a package in its row: above its imports; plugins last."""
     below = [places[other][0] for other in drawn[package]]
     return package in PLUGINS, sum(below) / len(below) if below else WIDTH / 2, package
 

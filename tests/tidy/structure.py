@@ -231,7 +231,7 @@ def packages() -> list[str]:
 
 
 def named_folders() -> list[str]:
-    """Code whose names are checked too, besides that of the packages."""
+    """The code outside the packages whose names are also checked."""
     return ["sim-adapters", "capabilities", "examples"]
 
 

@@ -29,7 +29,7 @@ ALLOWED = {
     "hybrid_clock.py": "the clock itself",
     "net/health/link_monitor.py": "heartbeats carry timestamps",
     "net/link_manager.py": "passes the clock on to the heartbeats",
-    "net/link_owner.py": "the type of what is passed on",
+    "net/link_owner.py": "the type of forwarded timestamps",
     "operator/team_model/log_buffer.py": "the order of log lines",
     "operator/team_model/team_view.py": "the order of log lines",
     "operator/dashboard/timeline/event_timeline.py": "the order of events",

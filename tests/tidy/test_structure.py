@@ -214,7 +214,7 @@ def test_class_may_change_its_new_instances_and_helpers_of_its_file() -> None:
 
 
 def test_class_of_an_object_is_inferred_from_annotations_and_calls() -> None:
-    """Each of these assigns an attribute that a class of the same file declares too."""
+    """Each of these statements assigns an attribute that a class of the same file also declares."""
     source = """
         class Whole:
             def __init__(self, part: Part, made, text: "Part"):

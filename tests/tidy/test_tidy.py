@@ -23,58 +23,58 @@ MOST_FILES, MOST_LINES, LEAST_LINES, LONGEST_FUNCTION = 14, 400, 60, 60
 #: File names that may repeat: pytest distinguishes them, or they are not imported.
 NAMESAKES = ("conftest.py", "run.py")
 
-#: Longer than others for a reason: tables that are read by lookup.
+#: Files that may be longer, with the reason: tables for lookup.
 TABLES: dict[str, str] = {
     "lfield/errors.py": "the exceptions of all packages, one tree",
     "lfield/bytecode/opcodes.py": "the instructions, by their codes",
-    "lfield/lang/tree.py": "the nodes of the checked tree, all of which name one another",
+    "lfield/lang/tree.py": "the nodes of the checked tree, which refer to each other",
 }
-#: Shorter than others: each is one idea of its own.
+#: Files that may be shorter: each is one separate subject.
 SMALL = {
     "lfield/client/event_json.py": "events as JSON, for commands and clients",
     "lfield/host/person_calls/call_limits.py": "limits on the calls of persons, without I/O",
     "lfield/testing/mission/double_answers.py": "special results of doubles",
-    "lfield/mission/checks/recovery_findings.py": "what two files say of recovery together",
-    "lfield/host/events/path_rate.py": "a measurement of its own, without I/O",
+    "lfield/mission/checks/recovery_findings.py": "findings about recovery that need two files",
+    "lfield/host/events/path_rate.py": "a separate measurement, without I/O",
     "lfield/net/coding/link_compression.py": "two streams of zlib",
-    "lfield/inventory/location.py": "which inventory counts, without YAML",
+    "lfield/inventory/location.py": "the selection of the inventory, without YAML",
     "lfield/service/messages.py": "the log lines of the service",
-    "lfield/service/restart_policy.py": "whether a host is restarted, a rule without I/O",
+    "lfield/service/restart_policy.py": "the rule for restarts of hosts, without I/O",
     "drivers/lfield_dynamixel/log_messages.py": "the log lines of a driver",
-    "drivers/lfield_mavlink/link/link_events.py": "what a link reports to its driver",
+    "drivers/lfield_mavlink/link/link_events.py": "the reports of a link to its driver",
     "lfield/authority/key_material.py": "keys as bytes, and the names of their files",
     "lfield/authority/ephemeral_ca.py": "keys of one run, in memory",
-    "lfield/authority/web_ca/web_certificates.py": "where the folder of an authority has pages",
-    "lfield/lang/parser/concurrency.py": "forms whose words are names elsewhere",
-    "lfield/wire/reservation_messages.py": "what is said of reservations, all of it",
+    "lfield/authority/web_ca/web_certificates.py": "the paths of pages in the folder of an authority",
+    "lfield/lang/parser/concurrency.py": "statements whose keywords are names elsewhere",
+    "lfield/wire/reservation_messages.py": "all messages about reservations",
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "the clock protocol of all packages",
-    "lfield/devices/jitter_measurement.py": "what is done for lateness to decide",
-    "lfield/operator/web/page.py": "the one page, of the one component",
-    "lfield/operator/dashboard/event_stream/background_task.py": "what fails beside a body of code",
-    "lfield/host/process/shutdown_signals.py": "what ends a host",
-    "lfield/host/failures/agent_dump.py": "where the block of a dead agent goes",
-    "lfield/net/connections/socket_errors.py": "what errors of sockets mean, a table",
+    "lfield/devices/jitter_measurement.py": "the I/O of the jitter measurement",
+    "lfield/operator/web/page.py": "the only page of the only component",
+    "lfield/operator/dashboard/event_stream/background_task.py": "failures of background tasks",
+    "lfield/host/process/shutdown_signals.py": "the signals that end a host",
+    "lfield/host/failures/agent_dump.py": "the file for the block of a failed agent",
+    "lfield/net/connections/socket_errors.py": "the meanings of socket errors, a table",
     "lfield/net/scheduling/temporary_bans.py": "the back-off of a member that sent too much",
-    "lfield/net/fault_client.py": "the door of a fake, from outside",
-    "tests/simulate/simulation_testing/invariants/breaches.py": "what a judge says, for all of them",
-    "tests/simulate/simulation_testing/invariants/durability.py": "what is asked of simulated journals",
-    "lfield/simulate/jumping_loop.py": "the jumping clock",
+    "lfield/net/fault_client.py": "the client of a fake's fault port",
+    "tests/simulate/simulation_testing/invariants/breaches.py": "the reports of all invariants",
+    "tests/simulate/simulation_testing/invariants/durability.py": "the durability of simulated journals",
+    "lfield/simulate/jumping_loop.py": "the event loop with virtual time",
     "lfield/testing/still_team.py": "a team for golden programs",
     "lfield/testing/script.py": "errors of scripts that run missions under test",
-    "lfield/testing/kept_reports.py": "the guard's end of a driver, for tests",
+    "lfield/testing/kept_reports.py": "the receiver of a driver's reports, for tests",
     "lfield/text/number_arguments.py": "three types of options",
-    "lfield/text/value_text.py": "values of devices in words",
-    "lfield/vm/maths/intrinsics.py": "which instruction is which function, a table",
-    "lfield/vm/wasm/engine_selection.py": "what may be chosen, without wasmtime",
-    "lfield/vm/wasm/native_calls.py": "how Python calls WebAssembly",
+    "lfield/text/value_text.py": "values of devices as text",
+    "lfield/vm/maths/intrinsics.py": "instructions and their functions, a table",
+    "lfield/vm/wasm/engine_selection.py": "the available engines, without wasmtime",
+    "lfield/vm/wasm/native_calls.py": "the calls from Python to WebAssembly",
     "lfield/vm/wasm/runtime/runtime_functions.py": "the runtime's text and its functions",
-    "lfield/vm/memory/serialised_results.py": "what waits to be fetched, as bytes",
+    "lfield/vm/memory/serialised_results.py": "results that wait for their await, as bytes",
 }
 
 
-#: Names with an underscore that are documented for others: of named tuples, python-can, asyncio
-#: for makers of loops, and wasmtime for calls without its conversions.
+#: Documented names with an underscore: of named tuples, python-can, asyncio for event loops, and wasmtime
+#: for calls without its conversions.
 DOCUMENTED = {
     *("_replace", "_asdict", "_recv_internal", "_get_running_loop", "_set_running_loop"),
     *("_context", "_func", "_from_ptr"),
@@ -92,7 +92,7 @@ def name_of(path: Path) -> str:
 
 @cache
 def seen_in(path: Path) -> tuple[dict[str, int], list[str]]:
-    """The lengths of its functions, and its uses of private names of other files; its tree is not kept."""
+    """The lengths of a file's functions, and its uses of private names of other files, without its tree."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     nodes = list(ast.walk(tree))
     return functions(nodes), [f"{name_of(path)}:{line}: {name}" for line, name in private_uses(nodes)]
@@ -110,7 +110,7 @@ def test_no_folder_has_more_than_14_files() -> None:
 
 
 def test_test_file_names_are_unique() -> None:
-    """pytest imports them, and their helpers, by bare names: of two equal names it uses only one.
+    """pytest imports test files and their helpers by bare names: of two equal names it uses only one.
 
     Files in a package are imported with the name of the package.
     """
@@ -120,7 +120,7 @@ def test_test_file_names_are_unique() -> None:
 
 
 def test_file_has_60_to_400_lines() -> None:
-    """Except package inits and commands, which may be short."""
+    """Package inits and commands may be shorter."""
     lengths = {name_of(path): length(path) for path in files(*PRODUCT)}
     long = {name: lines for name, lines in lengths.items() if lines > MOST_LINES and name not in TABLES}
     assert long == {}
@@ -129,7 +129,7 @@ def test_file_has_60_to_400_lines() -> None:
 
 
 def may_be_short(name: str) -> bool:
-    """A package init, an entry module, or a command; or it is in the table."""
+    """True for a package init, an entry module, a command, and the files of the table."""
     return (
         Path(name).name in ("__init__.py", "__main__.py") or name.startswith("lfield/cli/") or name in SMALL
     )
@@ -182,7 +182,7 @@ def test_no_file_uses_private_names_of_another_file(path: Path) -> None:
     assert seen_in(path)[1] == []
 
 
-#: First words of a docstring that leave its subject to a guess.
+#: First words of a docstring that do not name its subject.
 HIDDEN_SUBJECT = re.compile(
     r'^ *r?"""(?:It|Its|They|Their|That|There|Here|Nothing|What|Whether (?:it|its|they))\b.*', re.M
 )

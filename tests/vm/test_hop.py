@@ -78,7 +78,7 @@ def test_a_coordinator_keeps_its_state_and_identity_across_hops() -> None:
 def test_a_hop_carries_live_data_only() -> None:
     hosts = two_hosts()
     hosts.run()
-    # 5000 ints were garbage before the first hop: a slot still held them, but would not be read again.
+    # 5000 ints were garbage before the first hop: a dead slot still referred to them.
     assert max(map(len, hosts.images)) < 2000
 
 

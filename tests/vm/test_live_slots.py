@@ -114,7 +114,7 @@ def test_a_finally_keeps_the_exception_that_it_throws_again() -> None:
     assert [row.kind for row in rows[-2:]] == [FINALLY, 3]
     kept = _kept(_group("pcall", 1))
     assert thrown in kept
-    # Its try has ended: no catch of it reads anything.
+    # The try has ended: its catches read no slots.
     assert NAMES["later"] not in kept
 
 

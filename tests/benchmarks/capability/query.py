@@ -1,4 +1,4 @@
-"""`lfield query`, from its start to its end: from the files alone, and asking two hosts that run."""
+"""Duration of the whole command `lfield query`: from files only, and with two running hosts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _QUERY = "Lift where payload >= 2.0"
 
 
 def asking(*words: str, running: bool) -> Opener:
-    """The command with these options."""
+    """Run the command with these options."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         mission = Mission(processes.folder(), _PROGRAM, _AGENTS)

@@ -1,7 +1,8 @@
-"""How often the best offer stays the best when only what is irrelevant changes, and how a find grows.
+"""Stability of the best offer under irrelevant changes, and the growth of the time of a find.
 
-Irrelevant to who lifts best is what types state that nobody is of, what agents state that do not lift, and
-what no offer is better by. Each team is drawn once, all that is irrelevant again and again.
+For the primitive `Lift` these facts are irrelevant: attributes of types without agents, attributes of agents
+that do not lift, and attributes without a preferred direction. Each team is drawn once, and the irrelevant
+facts are drawn again for each seed.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ _ATTRIBUTES = {
 
 
 class _Team:
-    """Agents by their types."""
+    """The agents of a team by type."""
 
     def __init__(self, members: Sequence[Candidate]) -> None:
         self.by_type: dict[str, list[Candidate]] = {}
@@ -69,7 +70,7 @@ class _Team:
         return self.by_type.get(resource, ())
 
     def here(self) -> None:
-        """Nobody knows where is asked."""
+        """The host of the caller is unknown."""
 
 
 def _registry(
@@ -90,7 +91,7 @@ def _registry(
 
 
 def _best(team: int, seed: int) -> str:
-    """Who lifts best in a team, beside what is irrelevant and drawn by the seed."""
+    """The best agent for `Lift` in a team, with irrelevant facts drawn by the seed."""
     drawn, other = random.Random(team), random.Random(f"{team} {seed}")
     types = [_provider(f"T{i}", "Lift" if i % 2 else "Climb", _RELEVANT, drawn) for i in range(8)]
     members = [Candidate(f"a{i}", f"T{i}", f"h{i}", drawn.randint(0, 1)) for i in range(8)]
@@ -117,7 +118,7 @@ def _facts(names: Sequence[str], drawn: random.Random) -> dict[str, Value]:
 
 
 def stability(checkout: Checkout, processes: Processes) -> Contender:
-    """Per cent of the teams and seeds."""
+    """Per cent of the teams and seeds in which the best agent stays the same."""
 
     def measure() -> dict[str, list[float]]:
         bests = [[_best(team, seed) for seed in range(SEEDS)] for team in range(TEAMS)]
@@ -178,7 +179,7 @@ def _members(count: int, age: float) -> list[Candidate]:
 
 
 def growing(case: str, lively: bool) -> Contender:
-    """The seconds of a question in teams of all sizes."""
+    """Seconds of a query in teams of all sizes."""
     primitive, rules, text = _GROWN[case]
     made = _registry([Provider(t, {p: ServedPrimitive(p, {})}) for t, p in _TYPES], *rules)
     wish = compile_query(text, _ATTRIBUTES) if text else None

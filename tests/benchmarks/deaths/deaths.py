@@ -1,17 +1,18 @@
-"""Deaths: how soon a device is safe, and at rest, when its host dies, its guard, or both; killed or stopped.
+"""Process failures: seconds until a device is safe and at rest after its host, its guard or both are killed
+or stopped.
 
-Devices are fakes that go on whatever happens above them, and each time is the device's own: from the
-signal to the line of its log that says so (`lfield sim ... --log`). `own` counts the trials in which the
-device's own watchdog came first: an autopilot's failsafe, a drive's consumer heartbeat, a servo's bus
-watchdog. It is all that is left when both are gone. A device that is not safe, or does not stand, in its
-time is a failure of its case, which is told and makes the run end with a status above 0.
+The devices are fakes in processes of their own. Each time is measured by the device: from the signal to the
+line of its log (`lfield sim ... --log`). `own` counts the trials in which the device's own watchdog acted
+first: an autopilot's failsafe, a drive's consumer heartbeat, a servo's bus watchdog. After the failure of
+both processes it is the only remaining protection. A device that is not safe or not at rest in time is a
+failure of its case: the run prints it and ends with a status above 0.
 
-    TRIALS=3          so many of each, quiet and busy (30)
-    KEEP=deaths.jsonl also write a line for each trial: all that its device's log said
-    SIDE=1            so many fakes of each device, side by side: 1, 2, 3 or 6 (2)
-    LOADS=quiet       one load only
-    KINDS=PX4,Rover   only devices whose names begin so
-    WAY=move          every trial is a long move, or `setpoints`
+TRIALS=3          trials of each case, quiet and busy (30)
+KEEP=deaths.jsonl also write a line for each trial, with the log of its device
+SIDE=1            parallel fakes of each device: 1, 2, 3 or 6 (2)
+LOADS=quiet       one load only
+KINDS=PX4,Rover   only devices whose names begin with these words
+WAY=move          every trial is a long move, or `setpoints`
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from deaths.devices import DEVICES, Device
-from deaths.trial import DEATHS, Outcome, Subject, Trial, Wave, together
+from deaths.trial import DEATHS, Outcome, Subject, Trial, Wave, run_in_parallel
 from harness.checkout import Checkout
 from harness.figure import Figure, Row
 from harness.number_text import COUNT
@@ -36,18 +37,18 @@ from harness.samples import Tick
 TRIALS = int(os.environ.get("TRIALS", "30"))
 SIDE = int(os.environ.get("SIDE", "2"))
 QUIET, BUSY = "quiet", "busy"
-#: Seconds that a host may be silent: what a binding has by default, and what a busy computer can keep.
+#: Seconds of silence allowed to a host: the default of a binding, and a bound that a busy computer can keep.
 SILENCE = {QUIET: 0.2, BUSY: 0.5}
 LOADS = os.environ.get("LOADS", f"{QUIET} {BUSY}").split()
 KINDS = tuple(os.environ.get("KINDS", "").split(","))
 TRIED = tuple(device for device in DEVICES if device.name.startswith(KINDS))
-#: Every so many trials are of the device's second way to move, unless one way is chosen.
+#: One trial of this many uses the device's second way to move, unless $WAY selects one.
 SECOND_WAY = 3
 WAY = os.environ.get("WAY", "")
 
 
 class Fleet:
-    """The fakes, `side` of each device, and what became of them."""
+    """The fakes of all devices, `side` of each."""
 
     def __init__(
         self,
@@ -63,23 +64,23 @@ class Fleet:
         self._side, self._rng = side, random.Random(1)
 
     def round(self, number: int, silence: float) -> Iterator[list[Outcome]]:
-        """Every death of every device once; yields what becomes of those that die side by side."""
+        """Run every failure of every device once; yields the outcomes of each group of parallel trials."""
         for first in range(0, len(DEATHS), self._side):
             with Processes() as processes:
                 yield self._try(number, first, Wave(processes, silence, self._rng))
 
     def _try(self, number: int, first: int, wave: Wave) -> list[Outcome]:
-        """Some deaths of every device. All begin before the first dies: starts shall not disturb."""
+        """Run some failures of every device. All hosts start before the first failure."""
         trials = []
         for place, subjects in enumerate(self._subjects.values()):
-            # Each device dies another death: guards that come back shall not wait for one another.
+            # Each device has a different failure, so that restarted guards do not wait for one another.
             deaths = [DEATHS[(number + first + place + n) % len(DEATHS)] for n in range(self._side)]
             ways = [way for way in subjects[0].device.ways if WAY in ("", way)] or subjects[0].device.ways
             way = ways[-1] if number % SECOND_WAY == SECOND_WAY - 1 else ways[0]
             trials += [Trial(*pair, way, wave) for pair in zip(subjects, deaths, strict=True)]
         try:
-            for phase in (Trial.start, Trial.die, Trial.end):
-                together(phase(trial) for trial in trials)
+            for phase in (Trial.start, Trial.run_failure, Trial.end):
+                run_in_parallel(phase(trial) for trial in trials)
         finally:
             for trial in trials:
                 trial.end_host()
@@ -89,7 +90,7 @@ class Fleet:
 
 @contextmanager
 def _load(checkout: Checkout, name: str) -> Iterator[None]:
-    """A busy machine: a spinning process for each processor."""
+    """Load the computer: a spinning process for each processor."""
     with Processes() as processes:
         for _ in range((os.cpu_count() or 1) if name == BUSY else 0):
             checkout.run(processes, "-c", "while True: pass")
@@ -97,10 +98,10 @@ def _load(checkout: Checkout, name: str) -> Iterator[None]:
 
 
 def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
-    """All trials, quiet and busy in turns; the rows of what there is also when it is interrupted."""
+    """Run all trials, quiet and busy in turns; yields the rows so far also after an interruption."""
     outcomes: dict[str, list[Outcome]] = {load: [] for load in LOADS}
     wrong: BaseException | None = None
-    # Told to end, as interrupted: nobody whom a trial has stopped is left behind.
+    # SIGTERM raises KeyboardInterrupt: the stopped processes of a trial are ended.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         _measure(checkout, rounds, tick, outcomes)
@@ -138,7 +139,7 @@ def _keep(path: Path, load: str, outcomes: Sequence[Outcome]) -> None:
 
 
 def rows(outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
-    """For each device and death, quiet and busy: seconds to the safe state and to rest; and what failed."""
+    """Rows of each device and failure, quiet and busy: seconds to the safe state and to rest, failures."""
     for device in TRIED:
         for death in map(str, DEATHS):
             case = f"{device.name}, {death}"
@@ -150,7 +151,7 @@ def rows(outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
     for load, of_load in outcomes.items():
         again = sum(outcome.starts > 1 for outcome in of_load)
         if again:
-            yield Row("trials whose device had stopped before", load, COUNT, [again])
+            yield Row("trials started again: the device had stopped", load, COUNT, [again])
 
 
 def _rows_of(case: str, outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
@@ -165,21 +166,21 @@ def _rows_of(case: str, outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
     for load, found in outcomes.items():
         why = [f"{o.way}: {o.why}" for o in found if o.why]
         if why:
-            told = "; ".join(dict.fromkeys(why))
-            yield Row(case, load, error=f"{len(why)} of {len(found)} trials failed: {told}")
+            reasons = "; ".join(dict.fromkeys(why))
+            yield Row(case, load, error=f"{len(why)} of {len(found)} trials failed: {reasons}")
 
 
 FIGURE = Figure(
-    "Deaths: seconds from the signal to the safe state and to rest, by the device's own log",
+    "Process failures: seconds from the signal to the safe state and to rest, by the device's own log",
     {},
     rounds=TRIALS,
     own_rows=measured,
-    one_size="a device is safe by its own clock, on a quiet and on a busy computer",
+    one_size="the cases differ by device and failure, not by a size",
     notes=(
-        f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first; silence: "
+        f"{SIDE} fakes of each device in parallel; own: the device's own watchdog acted first; silence: "
         + ", ".join(f"{load} {seconds:g} s" for load, seconds in SILENCE.items()),
         "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 1 m",
         "guards and fakes run with real-time priority where the system allows it, hosts never",
-        "make bench ONLY=deaths TRIALS=3 LOADS=quiet makes fewer, KEEP=FILE writes down every trial",
+        "make bench ONLY=deaths TRIALS=3 LOADS=quiet runs fewer, KEEP=FILE records every trial",
     ),
 )

@@ -1,4 +1,4 @@
-"""The log that a device writes, and the verdict on a death: when the device was safe, and when it stood."""
+"""The log of a device, and the verdict on a process failure: when the device was safe and at rest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deaths.devices import Device, Facts
 
 
 class Change(NamedTuple):
-    """`name` became `value` at `at`, on CLOCK_MONOTONIC in seconds."""
+    """A change of the quantity `name` to `value` at time `at` (CLOCK_MONOTONIC, s)."""
 
     at: float
     name: str
@@ -25,10 +25,10 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Seconds from the death to the safe state, and until the device stood; None for what has not come yet.
+    """Seconds from the failure to the safe state and to rest; None for a state that is not reached.
 
-    Both are of the last time that it became so: what was safe and is not any more is not safe. `own` is
-    whether the device's own watchdog had acted when it became safe.
+    Only the last change counts: a device that has left its safe state is not safe. `own` is set if the
+    device's own watchdog had acted when the device became safe.
     """
 
     safe: float | None = None
@@ -36,7 +36,7 @@ class Verdict:
     own: bool = False
 
     def seconds(self, what: str) -> float | None:
-        """To what is called `safe` or `at rest`."""
+        """Seconds to the state named `safe` or `at rest`."""
         return self.safe if what == "safe" else self.rest
 
 
@@ -45,38 +45,38 @@ class DeviceLog:
 
     def __init__(self, path: Path) -> None:
         self._path, self._place = path, 0
-        #: What is so now, and the changes since `forget`.
+        #: The current values, and the changes since `mark_start`.
         self.now: dict[str, str] = {}
         self.changes: list[Change] = []
 
     def read(self) -> None:
-        """Take in what was written since."""
+        """Read the new lines."""
         with self._path.open("rb") as file:
             file.seek(self._place)
             data = file.read()
         whole = data[: data.rfind(b"\n") + 1]
         self._place += len(whole)
         for line in whole.decode().splitlines():
-            at, _, told = line.split(" ", 2)
-            change = Change(float(at), *told.split("=", 1))
+            at, _, assignment = line.split(" ", 2)
+            change = Change(float(at), *assignment.split("=", 1))
             self.changes.append(change)
             self.now[change.name] = change.value
 
-    def forget(self) -> Facts:
-        """Begin anew: what is so now, which the changes from here on are changes of."""
+    def mark_start(self) -> Facts:
+        """Discard the changes so far; returns the current values, to which later changes apply."""
         self.read()
         self.changes.clear()
         return dict(self.now)
 
 
 def judge(device: Device, start: Facts, changes: Sequence[Change], death: float) -> Verdict:
-    """The verdict on a death at time `death`, from the changes since `start`."""
+    """The verdict on a failure at time `death`, from the values at `start` and the changes since."""
     before = {**start, **{change.name: change.value for change in changes if change.at <= death}}
     now, own = dict(before), False
     safe = death if device.safe(before, before) else None
     rest = safe if device.at_rest(before) else None
-    for at, together in groupby((c for c in changes if c.at > death), key=attrgetter("at")):
-        now.update({change.name: change.value for change in together})
+    for at, simultaneous in groupby((c for c in changes if c.at > death), key=attrgetter("at")):
+        now.update({change.name: change.value for change in simultaneous})
         was, safe = safe, (safe or at) if device.safe(before, now) else None
         rest = (rest or at) if safe and device.at_rest(now) else None
         if safe and not was:

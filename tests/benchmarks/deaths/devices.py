@@ -1,4 +1,4 @@
-"""The devices that are tried: their fakes and bindings, and what their own logs show when they are safe."""
+"""The tested devices: their fakes and bindings, and the log values that mean safe and at rest."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-#: What a device's own log says is so, by name (see lfield_sim.state_log).
+#: The values of a device's log by name (see lfield_sim.state_log).
 Facts = Mapping[str, str]
 
 SETPOINTS, MOVE = "setpoints", "move"
@@ -16,13 +16,13 @@ _WATCHDOG_EXPIRED = 0x1000000
 
 @dataclass(frozen=True)
 class Device:
-    """One kind of device.
+    """One type of device.
 
-    `fake` are the words of its fake, `field` its field in the `resource` of moves.L that moves it, `binding`
-    what its binding says beside the endpoint. `safe` compares what was so when the death came with what is
-    so: a new goal is what tells a servo that holds from one that goes on. `own` says whether its own watchdog
-    has acted. Within `bound` seconds it must be safe when its guard is dead; beside a `station` it hears the
-    heartbeats of a ground station on another link.
+    `fake` has the arguments of the fake, `field` is the device's field in the `resource` of moves.L,
+    `binding` has the options of the binding except the endpoint. `safe` compares the values at the failure
+    with the current ones: only a new goal distinguishes a holding servo from a moving one. `own` returns true
+    if the device's own watchdog has acted. The device must be safe within `bound` seconds after a failure of
+    its guard. With `station` it also receives the heartbeats of a ground station on another link.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Device:
 
     @property
     def bindings(self) -> str:
-        """The devices file of the agent `a`, with places for endpoint and silence."""
+        """The devices file of the agent `a`, a format string for endpoint and silence."""
         return (
             f'agents: {{a: {{devices: {{{self.field}: {{endpoint: "%s", {self.binding}}}}}}}}}\nsilence: %g\n'
         )
@@ -49,7 +49,7 @@ def _still(now: Facts) -> bool:
     return now["moving"] == "no"
 
 
-#: What 'lfield setup' leaves in them for a binding that lands: of vehicle 1, whose station is 128.
+#: Parameters that 'lfield setup' writes for a binding with safe state `land`; ground station 128.
 SET_UP = ("FS_GCS_ENABLE=5", "FS_GCS_TIMEOUT=2", "GUID_TIMEOUT=1", "FS_OPTIONS=24", "MAV_GCS_SYSID=128")
 SET_UP_ROVER = ("FS_GCS_ENABLE=1", "FS_ACTION=2", "FS_GCS_TIMEOUT=2", "FS_TIMEOUT=1", "MAV_GCS_SYSID=128")
 SET_UP_PX4 = (
@@ -61,7 +61,7 @@ SET_UP_PX4 = (
 def _copter(
     name: str, flavour: str, land: str, ttl: float, bound: float, *more: str, station: bool = False
 ) -> Device:
-    # Low and brisk, so that a landing takes no longer than it must; a battery that lasts for all trials.
+    # High speeds keep landings short; the battery lasts for all trials.
     words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 2.4 --land 1.9"
     kept = [word for setting in more for word in ("--param", setting)]
     return Device(
@@ -94,7 +94,7 @@ def _rover(name: str, *, station: bool = False) -> Device:
     )
 
 
-#: With times to live for which each device's own watchdog can be set (an ODrive's is in its configuration).
+#: Each ttl is possible for the device's own watchdog (an ODrive has it in its configuration).
 DEVICES = (
     _copter("ArduCopter", "ardupilot", "LAND", 1.0, 3.0, *SET_UP),
     _copter("ArduCopter beside a station", "ardupilot", "LAND", 1.0, 3.0, *SET_UP, station=True),
@@ -117,7 +117,8 @@ DEVICES = (
     ),
     Device(
         "ODrive",
-        # Without a brake it coasts when it is off: with some friction that takes a second, not half a minute.
+        # An ODrive without a brake coasts when it is off: friction stops it in a second, not in half a
+        # minute.
         ("can", "--device", "odrive:3,watchdog=1,friction=0.05"),
         "Axis",
         "axis",
@@ -128,7 +129,7 @@ DEVICES = (
         ),
         at_rest=_still,
         own=lambda now: bool(int(now["errors"]) & _WATCHDOG_EXPIRED),
-        # Only setpoints feed its watchdog: it would end a long move by itself.
+        # Only setpoints feed the watchdog of an ODrive: it would end a long move.
         ways=(SETPOINTS,),
     ),
     Device(

@@ -1,7 +1,6 @@
-"""python station.py ENDPOINT: the heartbeats of a ground station, as QGroundControl sends them by
-default.
+"""python station.py ENDPOINT: sends the heartbeats of a ground station with the defaults of QGroundControl.
 
-System 255, component 190, once a second, on a link of its own, until it is ended.
+System 255, component 190, once a second, on a separate link, until the process is ended.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A CAN bus of 250 kbit/s with 40 devices by DBC file at full load: each gets a command and sends a status
-every 40 ms, with counter and CRC. The driver is alone in this process, the simulated bus in another.
+"""A CAN bus of 250 kbit/s at full load with 40 devices by DBC file: each receives a command and sends a
+status every 40 ms, with counter and CRC. The driver runs in this process, the simulated bus in another.
 
-The time of a command ends where another client of the bus has its frame.
+The time of a command ends when another client of the bus has received its frame.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame
 
 BITRATE, SECONDS_OF_A_ROUND, COMMANDS = 250_000, 3.0, 100
-#: Bits of a frame of eight bytes with the pause after it, without stuff bits.
+#: Bits of a frame of eight bytes with the interframe space, without stuff bits.
 BITS = 111
 DBC = """VERSION ""
 BU_: Host Device
@@ -56,7 +56,7 @@ PROCESSOR, FIRST, MISSED = (
 
 
 def devices(count: int) -> Opener:
-    """A bus with so many devices."""
+    """Open a bus with `count` devices."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         folder = Path(tempfile.mkdtemp(prefix="can-load-"))
@@ -136,14 +136,14 @@ class Observed:
         self._awaited: tuple[int, bytes, asyncio.Future[None]] | None = None
 
     def on_frame(self, frame: Frame) -> None:
-        """Counts a frame; it may be the awaited one."""
+        """Count a frame, and complete the future that waits for it."""
         self.count += 1
         if self._awaited is not None and self._awaited[:2] == (frame.id, frame.data[2:4]):
             self._awaited[2].set_result(None)
             self._awaited = None
 
     def expected(self, identifier: int, angle: bytes) -> asyncio.Future[None]:
-        """Done with the first frame of this angle."""
+        """A future that completes with the first frame of this angle."""
         future = asyncio.get_running_loop().create_future()
         self._awaited = identifier, angle, future
         return future

@@ -1,4 +1,4 @@
-"""Fake copters, and the bindings of agents that have them behind a guard."""
+"""Fake copters, and device bindings of the agents that use them through a guard."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from harness.checkout import Checkout
 from harness.processes import Processes
 
-#: What 'lfield setup' leaves in them for these bindings, written so that older fakes take it too.
+#: Parameters that 'lfield setup' writes for these bindings, in a form that older fakes also accept.
 SET_UP = ("FS_GCS_ENABLE=5", "FS_GCS_TIMEOUT=2", "GUID_TIMEOUT=1", "FS_OPTIONS=24")
 _DEVICE = """\
   v%d:
@@ -27,6 +27,6 @@ def fake_copters(checkout: Checkout, processes: Processes, systems: Iterable[int
 
 
 def bindings(copters: Iterable[tuple[str, int]], silence: float = 10.0, ttl: float = 0.5) -> str:
-    """A devices file of agents v0, v1, ...: the port and system of each. By default hosts may stand still."""
+    """A devices file of agents v0, v1, ... for (port, system) pairs. The default silence permits pauses."""
     devices = [_DEVICE % (n, port, system, ttl) for n, (port, system) in enumerate(copters)]
     return f"silence: {silence}\nagents:\n" + "".join(devices)

@@ -1,5 +1,5 @@
-"""A MAVLink command until it is acknowledged, on the same kind of fake: from L through the host and its
-guard, by the driver alone, and by pymavlink's own connection."""
+"""Time from a MAVLink command to its acknowledgement with the same fake: from L through host and guard,
+with the driver alone, and with pymavlink's own connection."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ RAW = str(Path(__file__).with_name("mavlink_raw.py"))
 
 
 def pymavlink(checkout: Checkout, processes: Processes) -> Contender:
-    """mavlink_raw.py."""
+    """Run mavlink_raw.py."""
     port = fake_copters(checkout, processes)
     return Paced([checkout.run(processes, RAW, port, str(COMMANDS))])
 
 
 def driver(checkout: Checkout, processes: Processes) -> Contender:
-    """The driver in this process, without a guard."""
+    """Run the driver in this process, without a guard."""
     port = fake_copters(checkout, processes)
     return lambda: event_loop.run(_driver_commands(port))
 
 
 def whole(checkout: Checkout, processes: Processes) -> Contender:
-    """The pilot of device.L, with a fake copter behind its guard."""
+    """Run the pilot of device.L, with a fake copter behind a guard."""
     devices = bindings([(fake_copters(checkout, processes), 1)])
     program = Path(__file__).with_name("device.L")
     return paced_mission(checkout, processes, program, [f"//Pilot:v0@here?{COMMANDS}"], devices)

@@ -1,6 +1,6 @@
-"""pymavlink's own connection, as its examples use it: the other side of the figure `mavlink`.
+"""pymavlink's own connection, used as in its examples: the reference of the figure `mavlink`.
 
-python mavlink_raw.py PORT COUNT   rounds of the seconds of each command, for ever
+python mavlink_raw.py PORT COUNT   prints rounds of the seconds of each command until it is killed
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import time
 from typing import Any
 
 os.environ["MAVLINK20"] = "1"
-from pymavlink import mavutil  # it chooses its dialect by the environment when it is imported
+from pymavlink import mavutil  # selects its dialect from the environment at import
 
 
 def connect(port: str) -> Any:
-    """A ground station that the fake answers."""
+    """Connect as a ground station."""
     link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", dialect="ardupilotmega", source_system=255)
     link.mav.heartbeat_send(6, 8, 0, 0, 4)
     link.recv_match(type="HEARTBEAT", blocking=True, timeout=10)
@@ -23,10 +23,10 @@ def connect(port: str) -> Any:
 
 
 def command(port: str, count: str) -> None:
-    """A command that moves nothing, again and again; nobody is woken by what is printed until the end."""
+    """Send rounds of commands that move nothing. The samples are printed after each round."""
     link = connect(port)
     while True:
-        # What has come while this process stood still.
+        # Messages that arrived while this process was stopped.
         while link.recv_match() is not None:
             pass
         samples = []

@@ -1,4 +1,4 @@
-"""`make bench`: measures figures one after the other and prints each when it is done."""
+"""`make bench`: measures the figures in sequence and prints each when it is complete."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from harness.samples import Tick, sentence
 from harness.table import Progress, print_figure
 from rich.console import Console
 
-#: How often two checkouts are started anew for a figure.
+#: Restarts of all processes of two checkouts for a figure.
 SESSIONS = 3
 
 
@@ -31,7 +31,7 @@ class Bench:
     other: Checkout | None
     out: Console
     path: Path | None
-    #: 0 for those that a figure names.
+    #: Rounds of each figure; 0 selects the figure's own number.
     rounds: int
     kept: list[dict[str, object]] = field(default_factory=list)
     failed: int = 0
@@ -43,7 +43,7 @@ class Bench:
         return {"checkout": self.own.commit, **against, "python": platform.python_version()}
 
     def measure(self, name: str, module: str) -> None:
-        """Measure, print and keep one figure; what goes wrong is a row of it."""
+        """Measure, print and save one figure; an exception becomes a row of it."""
         start, rows, figure = time.monotonic(), [], Figure("", {})
         try:
             with Progress(name) as progress:
@@ -76,9 +76,9 @@ class Bench:
         case = ""
         for row in rows:
             case = row.case or case
-            told = {key: value for key, value in asdict(row).items() if key not in ("samples", "case")}
+            fields = {key: value for key, value in asdict(row).items() if key not in ("samples", "case")}
             counted = {"count": len(row.samples), **row.numbers()}
-            self.kept.append({"figure": name, "case": case, **told, **counted})
+            self.kept.append({"figure": name, "case": case, **fields, **counted})
         self.failed += sum(bool(row.error) for row in rows)
         if self.path is not None:
             saved = {"format": 1, **self.about, "rows": self.kept}
@@ -91,7 +91,7 @@ def main(
     out: Console | None = None,
     pictured: Mapping[str, Pictured] | None = None,
 ) -> int:
-    """Measure and print; `modules` has the module of each figure, `pictured` those of a picture.
+    """Measure and print; `modules` has the module of each figure, `pictured` the figures of the picture.
 
     Returns the exit status.
     """
@@ -112,7 +112,7 @@ def main(
     except CheckoutError as error:
         print(error, file=sys.stderr)
         return 66
-    # A pipe has no width of its own: a cut table would be of no use to anybody.
+    # A pipe has no width; the default would cut the table.
     console = out or Console(width=None if sys.stdout.isatty() else 150)
     bench = Bench(Checkout.own(), other, console, args.save, args.rounds)
     bench.out.print("   ".join(f"{name} {value}" for name, value in bench.about.items()), highlight=False)

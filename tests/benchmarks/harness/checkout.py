@@ -1,4 +1,4 @@
-"""A checkout of lfield with its own .venv, used by its commands only: so an older one can be measured too."""
+"""A checkout of lfield with its own .venv. Only its commands are used, so that it can be an older version."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ from lfield.testing.keyring import Keyring
 
 #: Python keeps compiled modules here, as it does after the first start of an installed program.
 _KEPT = tempfile.TemporaryDirectory(prefix="lfield-bench-")
-#: Where hosts that listen look for keys: in `XDG_CONFIG_HOME`.
+#: The keys of listening hosts, in `XDG_CONFIG_HOME`.
 _KEYS = Keyring(Path(_KEPT.name) / "lfield" / "keys")
 
 
 def sign(bundle: Path) -> None:
-    """Sign a bundle in its place: hosts with keys take no other. Those of an older lfield have no keys."""
+    """Sign a bundle in place: hosts with keys reject unsigned ones. An older lfield has no keys."""
     with suppress(BundleError):
         _KEYS.sign(bundle)
 
 
 class CheckoutError(Exception):
-    """A folder that cannot be measured; one sentence."""
+    """A folder that cannot be measured; the message is one sentence."""
 
 
 @dataclass(frozen=True)
 class Checkout:
-    """Where it is, and the Python that runs it."""
+    """The folder of a checkout, and the Python that runs it."""
 
     root: Path
     python: str
 
     @classmethod
     def own(cls) -> Self:
-        """The one that this file is in."""
+        """The checkout of this file."""
         return cls(Path(__file__).resolve().parents[3], sys.executable)
 
     @classmethod
     def at(cls, root: Path) -> Self:
-        """Another one. Raises CheckoutError when it has no environment of its own."""
+        """Another checkout. Raises CheckoutError when it has no environment of its own."""
         checkout = cls(root.resolve(), str(root.resolve() / ".venv/bin/python"))
         if not Path(checkout.python).exists():
             raise CheckoutError(f"{root} has no .venv/bin/python: run 'make test' there first")
@@ -64,14 +64,14 @@ class Checkout:
 
     @property
     def environment(self) -> dict[str, str]:
-        """Environment of the processes: files go to a temporary folder; no operator finds the hosts."""
-        told = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+        """Environment of the processes: files go to a temporary folder, where no operator finds the hosts."""
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         kept = ("PYTHONPYCACHEPREFIX", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")
-        return told | dict.fromkeys(kept, _KEPT.name)
+        return inherited | dict.fromkeys(kept, _KEPT.name)
 
     @property
     def commit(self) -> str:
-        """A short name of what is measured."""
+        """The short commit of the checkout."""
         asked = ("git", "-C", str(self.root), "describe", "--always", "--dirty")
         try:
             return subprocess.run(asked, capture_output=True, text=True).stdout.strip() or "unknown"
@@ -80,12 +80,12 @@ class Checkout:
 
     @property
     def keeping_nothing(self) -> tuple[str, ...]:
-        """The options of `lfield up` for a host without a journal: none where it has none anyway."""
+        """The options of `lfield up` for a host without a journal; none for versions without journals."""
         return ("--volatile",) if "--volatile" in self._options_of_up else ()
 
     @property
     def engines(self) -> Mapping[str, tuple[str, ...]]:
-        """The engines that a host of it can run programs by, and the options of `lfield up` for each."""
+        """The engines of a host, and the options of `lfield up` for each."""
         found = re.search(r"--engine \{([\w,]+)\}", self._options_of_up)
         names = found[1].split(",") if found else []
         chosen = {name: ("--engine", name) for name in names if name != "auto"}
@@ -94,17 +94,17 @@ class Checkout:
     @cached_property
     def _options_of_up(self) -> str:
         asked = (self.python, "-m", "lfield", "up", "--help")
-        told = subprocess.run(asked, capture_output=True, text=True, cwd=self.root, env=self.environment)
-        return told.stdout
+        usage = subprocess.run(asked, capture_output=True, text=True, cwd=self.root, env=self.environment)
+        return usage.stdout
 
     def run(self, processes: Processes, *words: str, merged: bool = False) -> Child:
-        """Start a Python command of it, in its folder."""
+        """Start a Python command of the checkout, in its folder."""
         return processes.start(
             self.python, *words, environment=self.environment, folder=self.root, merged=merged
         )
 
     def lfield(self, processes: Processes, *words: str, merged: bool = False) -> Child:
-        """Start an `lfield` command of it."""
+        """Start an `lfield` command of the checkout."""
         return self.run(processes, "-m", "lfield", *words, merged=merged)
 
     def fake(self, processes: Processes, kind: str, *words: str) -> str:
@@ -114,9 +114,9 @@ class Checkout:
 
 @dataclass(slots=True)
 class Mission:
-    """An L program and who runs it, written to a folder; `agents` are lines of a deployment file.
+    """An L program and its deployment, written to a folder; `agents` are lines of the deployment file.
 
-    Hosts keep nothing, unless it is to be `kept`: then in journals in that folder. `options` are others of
+    Hosts write journals in that folder if `kept` is set, otherwise none. `options` are further options of
     `lfield up`.
     """
 
@@ -139,7 +139,7 @@ class Mission:
 
     @property
     def source(self) -> Path:
-        """The L text."""
+        """The file with the L text."""
         return self.folder / "mission.L"
 
     @property
@@ -149,7 +149,7 @@ class Mission:
 
     @property
     def arguments(self) -> tuple[str, ...]:
-        """The options that say which mission, and where its hosts are."""
+        """The options with the mission and the addresses of its hosts."""
         maps = [word for host, at in self.addresses.items() for word in ("--map", f"{host}={at}")]
         return "--deploy", str(self.deploy), *maps
 
@@ -158,7 +158,7 @@ class Mission:
         return [self.host(checkout, processes, host) for host in self.addresses]
 
     def host(self, checkout: Checkout, processes: Processes, host: str, *, merged: bool = False) -> Child:
-        """Start the process of one; with `merged` its log is read, too."""
+        """Start the process of one host; with `merged` its log can be read too."""
         memory = ("--state", str(self.folder / "state")) if self.kept else checkout.keeping_nothing
         words = *self.arguments, *memory, *self.options
         return checkout.lfield(processes, "up", *words, "--host", host, merged=merged)
@@ -174,7 +174,7 @@ def paced_mission(
     kept: bool = False,
     options: Sequence[str] = (),
 ) -> Paced:
-    """A mission that measures itself in rounds; the first host is the one that writes."""
+    """Start a mission that measures itself in rounds; the first host writes the samples."""
     text = program.read_text(encoding="utf-8")
     mission = Mission(processes.folder(), text, agents, devices, kept, options)
     return Paced(mission.up(checkout, processes))

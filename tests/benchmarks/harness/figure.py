@@ -1,4 +1,4 @@
-"""A figure: who is measured, and how the samples become rows. Nothing here asserts a time."""
+"""A figure: its contenders, and the conversion of samples to rows. No time is asserted."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from harness.processes import Processes
 from harness.samples import Contender, Samples, Tick, flat, in_turns, median, pair_ratios, percentile
 from harness.tenfold import series, tenfold
 
-#: Makes a contender of a checkout ready; what it starts ends with `Processes`.
+#: Opens a contender of a checkout; its processes end with `Processes`.
 Opener = Callable[[Checkout, Processes], Contender]
-#: Measures a checkout in so many rounds.
+#: Measures a checkout in the given number of rounds.
 OwnRows = Callable[[Checkout, int, Tick], Iterator["Row"]]
-#: What a later version may cost against an earlier one.
+#: The highest permitted cost of a later version relative to an earlier one.
 ALLOWED = "1.10x"
-#: The case of the rows that say how a cost grows.
+#: The case of the rows with the growth of a cost.
 GROWTH = "ten times the size"
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line: a case, what was measured, its samples in `unit`; or, with `error`, why there are none.
+    """A line: a case, the measured contender, its samples in `unit`; or an `error` instead of samples.
 
-    `size` is how much of something it was measured with, 0 where that is no question.
+    `size` is the size of the case, or 0 for a figure without sizes.
     """
 
     case: str
@@ -51,12 +51,12 @@ class Row:
 class Figure:
     """The contents of `make bench` under one name.
 
-    `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender, a
-    target by both, `contender: case`, too. `sizes` are those of cases, up to a colon, or of contenders; where
-    there are none, `one_size` says why there is nothing that grows.
-    `between` names the contenders by which two checkouts can be compared: those that use commands only.
-    `own_rows` makes the rows instead of contenders, where what fails is a part of the figure.
-    `ratios` are who, to whom, and what to reach: a line for each, with the least and the greatest round.
+    `base` names reference contenders; the fastest of them has ratio 1. Keys of `units` and `targets` are
+    cases or contenders; targets can also have the key `contender: case`. Keys of `sizes` are cases, up to a
+    colon, or contenders; without sizes, `one_size` gives the reason. `between` names the contenders for the
+    comparison of two checkouts: those that use commands only. `own_rows` replaces the contenders for a figure
+    in which failures are results. `ratios` has pairs of contenders and their target: a line for each, with
+    the lowest and highest round.
     """
 
     title: str
@@ -73,16 +73,16 @@ class Figure:
     ratios: Sequence[tuple[str, str, str]] = ()
 
     def unit(self, case: str, name: str) -> str:
-        """Of the samples of a contender in a case."""
+        """The unit of the samples of a contender in a case."""
         return self.units.get(case) or self.units.get(name) or SECONDS
 
     def target(self, case: str, name: str) -> str:
-        """The target of a contender in a case; '' if there is none."""
+        """The target of a contender in a case; '' if bases is none."""
         found = (self.targets.get(key) for key in (f"{name}: {case}", case, name))
         return next(filter(None, found), "")
 
     def size(self, case: str, name: str) -> float:
-        """Of what a contender was measured with in a case; 0 where there are no sizes."""
+        """The size of a case or contender; 0 without sizes."""
         return self.sizes.get(case.partition(": ")[0]) or self.sizes.get(name) or 0
 
 
@@ -109,7 +109,7 @@ def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
 
 
 def _with_growths(figure: Figure, rows: Iterator[Row]) -> Iterator[Row]:
-    """A figure's own rows, and how their costs grow: all samples of one are a single round."""
+    """A figure's own rows, then the growth of their costs: all samples of a row are one round."""
     samples: Samples = {}
     case = ""
     for row in rows:
@@ -121,7 +121,7 @@ def _with_growths(figure: Figure, rows: Iterator[Row]) -> Iterator[Row]:
 
 
 def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
-    """Rows with the ratios of two contenders: of their medians in each round."""
+    """Rows with the ratios of the medians of two contenders in each round."""
     for case in _cases(samples):
         shown = f"{case}: medians of each round"
         for who, whom, target in figure.ratios:
@@ -132,7 +132,7 @@ def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
 
 
 def _growths(figure: Figure, samples: Samples) -> Iterator[Row]:
-    """How the cost of each contender grows, where it was measured at several sizes."""
+    """The growth of the cost of each contender that was measured at several sizes."""
     shown = ""
     for one in sorted(series(samples, figure.sizes), key=lambda one: one.case):
         if grown := tenfold(one.points):
@@ -143,9 +143,9 @@ def _growths(figure: Figure, samples: Samples) -> Iterator[Row]:
 
 
 def rows_between(figure: Figure, own: Checkout, other: Checkout, sessions: int, tick: Tick) -> Iterator[Row]:
-    """Measure what two checkouts can be compared by: the samples of each, and the ratio round by round.
+    """Compare two checkouts: the samples of each, and the ratio of each round.
 
-    Every session starts all processes anew, as some are lucky with their place in memory and some are not.
+    Every session restarts all processes, because their speed depends on their memory layout.
     """
     for name in figure.between:
         samples: Samples = {"this": {}, "other": {}}
@@ -179,9 +179,9 @@ def _cases(samples: Samples) -> list[str]:
 
 
 def _ratio_to_fastest(samples: Samples, base: Sequence[str], name: str, case: str) -> float | None:
-    """Against that base which is the fastest in this case."""
-    there = [samples[b][case] for b in base if case in samples.get(b, {})]
-    if not there:
+    """The ratio to the fastest base contender in this case."""
+    bases = [samples[b][case] for b in base if case in samples.get(b, {})]
+    if not bases:
         return None
-    ratios = pair_ratios(samples[name][case], min(there, key=lambda rounds: median(flat(rounds))))
+    ratios = pair_ratios(samples[name][case], min(bases, key=lambda rounds: median(flat(rounds))))
     return median(ratios) if ratios else None

@@ -1,4 +1,4 @@
-"""Numbers in words."""
+"""Numbers with units as text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ SECONDS, BYTES, PERCENT, COUNT, TIMES, RATE = "s", "B", "%", "messages", "x", "k
 
 
 def number_text(number: float, unit: str) -> str:
-    """A number with its unit, to three digits or so."""
+    """A number with its unit, to about three digits."""
     if unit == SECONDS:
         return _seconds(number)
     if unit == BYTES:
@@ -18,12 +18,12 @@ def number_text(number: float, unit: str) -> str:
 
 
 def times(ratio: float) -> str:
-    """A ratio."""
+    """A ratio as text."""
     return f"{ratio:.2g}x" if abs(ratio) < 0.1 else f"{ratio:.2f}x" if abs(ratio) < 10 else f"{ratio:.0f}x"
 
 
 def size(count: int) -> str:
-    """A number of bytes of memory."""
+    """A number of bytes as text."""
     return f"{count} B" if count < 1024 else f"{count // 1024} KiB"
 
 

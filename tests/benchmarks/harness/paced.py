@@ -1,7 +1,7 @@
-"""Processes that measure themselves in rounds, and stand still while others are measured.
+"""Processes that measure themselves in rounds, and are stopped while other contenders are measured.
 
-The first of them writes a line `CASE = SECONDS...` for each case, then `end`, and rests for a quarter of a
-second, long enough to be stopped in. A line `error: ...` is the end of it.
+The first process writes a line `CASE = SECONDS...` for each case, then `end`, and pauses for a quarter of a
+second, in which it is stopped. A line `error: ...` ends the measurement.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Round = dict[str, list[float]]
 
 
 class Paced:
-    """Each call is one round. The first round only warms it up."""
+    """A contender of such processes. Each call is one round; the first round is the warm-up."""
 
     def __init__(self, children: Sequence[Child]) -> None:
         self._children = children
@@ -25,7 +25,7 @@ class Paced:
     def __call__(self) -> Round:
         """The samples of the next round, by case."""
         for child in self._children:
-            child.go_on()
+            child.resume()
         return self._finish()
 
     def _finish(self) -> Round:
@@ -36,7 +36,7 @@ class Paced:
 
 
 def whole_run(child: Child, case: str) -> Round:
-    """Seconds of a command from start to end, and of a processor, in which load counts for less."""
+    """Seconds of a whole command, and its processor time, which depends less on the load of the computer."""
     before = _used_by_children()
     child.wait()
     took = time.perf_counter() - child.started
@@ -49,7 +49,7 @@ def _used_by_children() -> float:
 
 
 def read_round(child: Child) -> Round:
-    """The samples of a round as a child writes them. Raises ChildError."""
+    """Read the samples of a round from a child. Raises ChildError."""
     found: Round = {}
     while (line := child.line()) != "end":
         if line.startswith("error: "):

@@ -1,7 +1,7 @@
-"""Rows as a picture: for each figure with sizes a field with cost over size, both axes logarithmic.
+"""Rows as a picture: cost over size for each figure with sizes, both axes logarithmic.
 
-A point is the median, the thin line through it goes from the least sample to the greatest. Behind each name
-is how many times as much ten times the size costs. The same rows are the same picture.
+A point is the median; the thin line through it extends from the lowest to the highest sample. The factor
+after each name is the growth of the cost with ten times the size. Equal rows give an equal picture.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 from harness.figure import GROWTH
 from harness.number_text import SECONDS, number_text, times
 
-#: Pixels: of a field with its texts, of what is drawn in it, of a line of text; and fields in a row.
+#: Pixels of a field with its texts, of its plot, and of a line of text; fields in a row.
 FIELD, PLOT_WIDTH, PLOT_HEIGHT, LINE, ACROSS = 470.0, 330.0, 190.0, 16.0, 2
-#: From the field's corner to that of what is drawn.
+#: Pixels from the corner of a field to the corner of its plot.
 LEFT, TOP = 74.0, 58.0
-#: Colours that colour-blind people tell apart (Okabe and Ito, 2008).
+#: Colours that are distinct for colour-blind people (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#000000")
 
 
@@ -32,9 +32,9 @@ class Point(NamedTuple):
 
 
 class Pictured(NamedTuple):
-    """A figure to draw: its title there, what its sizes are, and what names of its contenders must have.
+    """A figure to draw: its title in the picture, the quantity of its sizes, and a filter of contender names.
 
-    Where a figure has several costs, `cost` is the one to draw: what its cases say behind a colon.
+    For a figure with several costs, `cost` selects the drawn one by the text after the colon of its cases.
     """
 
     title: str
@@ -44,7 +44,7 @@ class Pictured(NamedTuple):
 
 
 class Field(NamedTuple):
-    """A figure's lines by contender, in a unit, with the growths found; `over` says what sizes are."""
+    """A figure's lines by contender, their unit and growths; `over` is the quantity of the sizes."""
 
     title: str
     over: str
@@ -54,7 +54,7 @@ class Field(NamedTuple):
 
 
 def draw(fields: Sequence[Field], about: str) -> str:
-    """An SVG. Raises ValueError when there is nothing to draw."""
+    """The SVG of the fields. Raises ValueError without fields."""
     if not fields:
         raise ValueError("none of these figures has sizes")
     parts, y = [], 44.0
@@ -72,7 +72,7 @@ def draw(fields: Sequence[Field], about: str) -> str:
 
 
 def caption(about: Mapping[str, str]) -> str:
-    """The first line of a picture: of what its rows are."""
+    """The first line of a picture: checkout and Python of its rows."""
     made = f"make bench, lfield {about['checkout']}, Python {about['python']}"
     return f"{made}: medians; thin lines from the least to the greatest sample"
 
@@ -100,18 +100,18 @@ def _is_pictured(row: Mapping[str, Any], chosen: Pictured) -> bool:
 
 
 class _Axis:
-    """From a number to pixels, by its logarithm."""
+    """A logarithmic axis from numbers to pixels."""
 
     def __init__(self, numbers: Sequence[float], length: float) -> None:
         self._low, self._high = math.log10(min(numbers)), math.log10(max(numbers))
         self._scale = length / ((self._high - self._low) or 1.0)
 
     def at(self, number: float) -> float:
-        """Pixels from the beginning."""
+        """Pixels from the start of the axis."""
         return (math.log10(number) - self._low) * self._scale
 
     def ticks(self) -> list[float]:
-        """Powers of ten inside, or both ends where there are less than two."""
+        """Powers of ten within the axis, or both ends if there are less than two."""
         powers = [10.0**n for n in range(math.ceil(self._low - 1e-9), math.floor(self._high + 1e-9) + 1)]
         return powers if len(powers) > 1 else [10.0**self._low, 10.0**self._high]
 
@@ -141,7 +141,7 @@ def _field(field: Field, left: float, top: float) -> str:
 
 
 def _cost(cost: float, unit: str) -> str:
-    """A number of an axis: a round one."""
+    """A number of an axis as text."""
     if unit != SECONDS:
         return number_text(cost, unit)
     for least, factor, name in ((1.0, 1.0, "s"), (1e-3, 1e3, "ms"), (0.0, 1e6, "µs")):
@@ -164,8 +164,8 @@ def _rule(x: float, y: float, across: float, up: float) -> str:
     return f'<path d="M{x:.1f} {y:.1f}l{across:.1f} {up:.1f}" stroke="#e4e4e4"/>'
 
 
-def _text(x: float, y: float, told: str, colour: str, weight: str = "normal", anchor: str = "start") -> str:
+def _text(x: float, y: float, label: str, colour: str, weight: str = "normal", anchor: str = "start") -> str:
     return (
         f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}" font-weight="{weight}" text-anchor="{anchor}">'
-        f"{escape(told)}</text>"
+        f"{escape(label)}</text>"
     )

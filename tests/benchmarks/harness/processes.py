@@ -1,4 +1,4 @@
-"""Child processes of a figure, which end with it however it ends, and the folders they work in."""
+"""Child processes of a figure and their folders; they end with the figure, also after a failure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import IO, TypeVar
 
 T = TypeVar("T")
 
-#: Seconds a child may take to say something before it is given up.
+#: Seconds without output after which a child has failed.
 PATIENCE = 30.0
 
 _PR_SET_PDEATHSIG = 1
@@ -25,13 +25,13 @@ _prctl = ctypes.CDLL(None).prctl
 
 
 class ChildError(Exception):
-    """A child process that ended or stayed silent; one sentence, with the last that it wrote."""
+    """A child process that ended or wrote nothing; one sentence with its last output."""
 
 
 class Child:
-    """A process that is read line by line. The kernel kills it when this process ends, however it ends.
+    """A process that is read line by line. The kernel kills it at any end of this process.
 
-    Its stderr goes to a file, so that it never waits for a reader; with `merged` it is read with stdout.
+    Stderr goes to a file, so that the child never blocks on it; with `merged` it is read with stdout.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Child:
             stderr=subprocess.STDOUT if merged else self._stderr,
             cwd=folder,
             env=environment,
-            preexec_fn=_die_with_parent,
+            preexec_fn=_end_with_parent,
         )
 
     @property
@@ -56,46 +56,46 @@ class Child:
         return self._process.pid
 
     def line(self, patience: float = PATIENCE) -> str:
-        """The next line of its stdout. Raises ChildError when none comes."""
+        """The next line of stdout. Raises ChildError after `patience` seconds without one."""
         end = time.monotonic() + patience
         while b"\n" not in self._unread:
             if not self._read(max(0.0, end - time.monotonic())):
                 late = time.monotonic() >= end
-                raise ChildError(self._obituary(f"said nothing for {patience:g} s" if late else "ended"))
+                raise ChildError(self._failure_text(f"said nothing for {patience:g} s" if late else "ended"))
         line, _, self._unread = self._unread.partition(b"\n")
         return line.decode()
 
     def lines(self) -> list[str]:
-        """The lines of its stdout that are there already; does not wait."""
+        """The lines of stdout that are available; action not wait."""
         while self._read(0.0):
             pass
         *lines, self._unread = self._unread.split(b"\n")
         return [line.decode() for line in lines]
 
     def pause(self) -> None:
-        """Stop it where it stands, so that it costs nothing while others are measured; returns when it is."""
+        """Stop the child, so that others can be measured; returns when it is stopped."""
         os.kill(self.pid, signal.SIGSTOP)
         os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
 
-    def go_on(self) -> None:
-        """Let it run again."""
+    def resume(self) -> None:
+        """Continue a stopped child."""
         os.kill(self.pid, signal.SIGCONT)
 
     def wait(self) -> None:
-        """Until its end. Raises ChildError when it has not ended well."""
+        """Wait for the end of the child. Raises ChildError for a status other than 0."""
         try:
             status = self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:
-            raise ChildError(self._obituary(f"did not end within {PATIENCE:g} s"))
+            raise ChildError(self._failure_text(f"did not end within {PATIENCE:g} s"))
         if status:
-            raise ChildError(self._obituary(f"ended with status {status}"))
+            raise ChildError(self._failure_text(f"ended with status {status}"))
 
     def ask_to_end(self) -> None:
-        """Let it end in order, as `kill` does."""
+        """Send SIGTERM for an orderly end."""
         self._process.terminate()
 
     def ended(self, patience: float) -> bool:
-        """Whether the child ends within `patience` seconds; its output is read meanwhile and discarded."""
+        """Return true if the child ends within `patience` seconds; its output is read and discarded."""
         end = time.monotonic() + patience
         while self._process.poll() is None and time.monotonic() < end:
             self._read(0.02)
@@ -104,7 +104,7 @@ class Child:
         return self._process.poll() is not None
 
     def end(self) -> None:
-        """Kill it and wait for it."""
+        """Kill the child and wait for its end."""
         self._process.kill()
         self._process.wait()
         assert self._process.stdout is not None
@@ -112,7 +112,7 @@ class Child:
         self._stderr.close()
 
     def _read(self, patience: float) -> bool:
-        """Take in what there is; False when there is nothing."""
+        """Read the available output; returns False without any."""
         assert self._process.stdout is not None
         descriptor = self._process.stdout.fileno()
         ready, _, _ = select.select([descriptor], [], [], patience)
@@ -120,11 +120,11 @@ class Child:
         self._unread += data
         return bool(data)
 
-    def _obituary(self, what: str) -> str:
+    def _failure_text(self, what: str) -> str:
         self._stderr.seek(0)
-        told = (self._stderr.read() + self._unread).decode(errors="replace").split("\n")
-        lines = [line.strip() for line in told if line.strip()] or ["without a word"]
-        # A refusal begins with what is wrong; a traceback or a log ends with it.
+        output = (self._stderr.read() + self._unread).decode(errors="replace").split("\n")
+        lines = [line.strip() for line in output if line.strip()] or ["without a word"]
+        # An error message has its reason in the first line, a traceback or a log in the last one.
         refused = "error" in lines[0]
         command = " ".join(Path(word).name for word in self._arguments[:6])
         return f"{command} {what}: {lines[0 if refused else -1]}"
@@ -149,17 +149,17 @@ class Processes:
         folder: Path | None = None,
         merged: bool = False,
     ) -> Child:
-        """Start a command, in a folder (default: where this process is)."""
+        """Start a command in a folder (default: the current one)."""
         child = Child(words, environment, folder or Path.cwd(), merged)
         self._open.callback(child.end)
         return child
 
-    def at_end(self, does: Callable[[], object]) -> None:
-        """Call something at the end, before what was started earlier ends."""
-        self._open.callback(does)
+    def at_end(self, action: Callable[[], object]) -> None:
+        """Register a call for the end, before the processes that were started earlier end."""
+        self._open.callback(action)
 
     def keep(self, kept: AbstractContextManager[T]) -> T:
-        """Enter a context, and leave it at the end."""
+        """Enter a context that is left at the end."""
         return self._open.enter_context(kept)
 
     def folder(self) -> Path:
@@ -167,11 +167,11 @@ class Processes:
         return Path(self._open.enter_context(tempfile.TemporaryDirectory(prefix="lfield-bench-")))
 
 
-def _die_with_parent() -> None:
+def _end_with_parent() -> None:
     _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def free_port() -> int:
-    """A loopback port that no program listens on now."""
+    """A loopback port without a listener."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         return int(probe.getsockname()[1])

@@ -1,7 +1,7 @@
-"""Samples: measured in turns, their quantiles, and ratios of rounds.
+"""Samples: measurement in turns, quantiles, and ratios of rounds.
 
-Machines are shared and noisy, so contenders are measured in turns (A B, B A, A B ...), and what is compared
-is the two sides of each round: both have seen the same weather.
+Computers are shared and noisy, so contenders are measured in turns (A B, B A, A B ...) and compared within
+each round, in which both had the same load.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Tick = Callable[[str], None]
 
 
 def percentile(samples: Iterable[float], percent: float) -> float:
-    """The smallest sample that so many percent of them do not exceed. Raises ValueError without samples."""
+    """The smallest sample that `percent` percent of all do not exceed. Raises ValueError without samples."""
     ordered = sorted(samples)
     if not ordered:
         raise ValueError("there are no samples")
@@ -39,12 +39,12 @@ def flat(rounds: Iterable[Sequence[float]]) -> list[float]:
 
 
 def pair_ratios(own: Sequence[Sequence[float]], base: Sequence[Sequence[float]]) -> list[float]:
-    """The ratio of the medians of each round that both have."""
+    """The ratio of the medians of each common round."""
     return [median(a) / median(b) for a, b in zip(own, base, strict=False) if a and b and median(b)]
 
 
 def timed(work: Callable[[], object], at_least: float = 0.0) -> float:
-    """Seconds that one call takes; it is called again and again until `at_least` has passed."""
+    """Seconds of one call; calls are repeated until `at_least` seconds have passed."""
     calls, start = 0, time.perf_counter()
     while True:
         work()
@@ -57,10 +57,10 @@ def timed(work: Callable[[], object], at_least: float = 0.0) -> float:
 def in_turns(
     openers: Mapping[str, Callable[[], Contender]], rounds: int, tick: Tick
 ) -> tuple[Samples, dict[str, str]]:
-    """Samples of every contender, measured one after the other in each round, and what failed.
+    """Samples of every contender, measured in sequence in each round, and the errors of failed contenders.
 
-    The order is reversed in every other round, so that nobody is always first. A contender that fails loses
-    its place and its samples; the others go on.
+    The order is reversed in every other round, so that no contender is always first. A failed contender and
+    its samples are removed; the others continue.
     """
     contenders: dict[str, Contender] = {}
     samples: Samples = {name: {} for name in openers}
@@ -93,12 +93,12 @@ def in_turns(
 
 
 def chosen(variable: str, names: tuple[str, ...]) -> list[str]:
-    """Those of the names that an environment variable lists; all when it is not set."""
-    said = os.environ.get(variable)
-    return [name for name in names if said is None or name in map(str.strip, said.split(","))]
+    """The names that an environment variable lists; all names when it is not set."""
+    value = os.environ.get(variable)
+    return [name for name in names if value is None or name in map(str.strip, value.split(","))]
 
 
 def sentence(error: BaseException) -> str:
-    """An exception on one line."""
-    told = " ".join(str(error).split())
-    return told if isinstance(error, ChildError) else f"{type(error).__name__}: {told}"
+    """An exception as one line."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, ChildError) else f"{type(error).__name__}: {text}"

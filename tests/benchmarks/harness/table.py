@@ -1,4 +1,4 @@
-"""How figures look: a table for each on stdout, what is going on now on stderr."""
+"""Output of figures: a table for each on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.progress import SpinnerColumn, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-#: Widths that hold from figure to figure, as each is a table of its own.
+#: Column widths, equal in the tables of all figures.
 COLUMNS = {
     "CASE": 36,
     "MEASURED": 30,
@@ -29,7 +29,7 @@ COLUMNS = {
 
 
 class Progress:
-    """A line on the current measurement, erased at the end; no thread, which would be measured too."""
+    """A progress line, erased at the end; without a thread, which would disturb the measurement."""
 
     def __init__(self, name: str) -> None:
         columns = SpinnerColumn(), TextColumn("{task.description}")
@@ -48,7 +48,7 @@ class Progress:
         self._bar.stop()
 
     def row(self, row: Row) -> None:
-        """Say at once what is measured: the table comes when all is."""
+        """Print a measured row immediately; the table follows at the end."""
         self._bar.console.print(Text("   ".join(filter(None, _cells(row))), style="dim"), soft_wrap=True)
 
     def tick(self, text: str) -> None:
@@ -57,7 +57,7 @@ class Progress:
 
 
 def print_figure(out: Console, name: str, title: str, rows: Sequence[Row], notes: Sequence[str]) -> None:
-    """A figure: its title, its rows, how it was made."""
+    """Print the title, the rows and the notes of a figure."""
     out.print()
     out.print(Text(name, style="bold"), Text(title), soft_wrap=True)
     table = Table(box=None, pad_edge=False)

@@ -1,4 +1,4 @@
-"""How a cost grows with the size of what it is for: per ten times as much, by all sizes that were taken."""
+"""The growth of a cost with the size: the factor for ten times the size, from all measured sizes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from harness.samples import Samples, median
 
 
 class Series(NamedTuple):
-    """Whose cost it is, and of what: the rounds of samples by size."""
+    """The rounds of samples by size, of one cost of one contender."""
 
     case: str
     name: str
@@ -18,7 +18,7 @@ class Series(NamedTuple):
 
 
 def series(samples: Samples, sizes: Mapping[str, float]) -> list[Series]:
-    """Series of samples at several sizes; `sizes` are of cases, up to a colon, or of contenders."""
+    """Series of samples at several sizes; keys of `sizes` are cases, up to a colon, or contenders."""
     found: dict[tuple[str, str], dict[float, Sequence[Sequence[float]]]] = {}
     for name, of_contender in samples.items():
         for case, rounds in of_contender.items():
@@ -31,10 +31,10 @@ def series(samples: Samples, sizes: Mapping[str, float]) -> list[Series]:
 
 
 def tenfold(points: Mapping[float, Sequence[Sequence[float]]]) -> list[float]:
-    """By how much the cost is multiplied where the size is ten times as much, in each round.
+    """The factor of the cost for ten times the size, in each round.
 
-    It is the line through the medians where both axes are logarithmic (least squares). A round that cost
-    nothing at some size has no such line.
+    Computed from the least-squares line through the medians on logarithmic axes. A round with a cost of zero
+    has no such line.
     """
     found = []
     for rounds in zip(*points.values(), strict=False):

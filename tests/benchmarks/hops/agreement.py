@@ -1,12 +1,12 @@
 """Messages for N resources to agree: a coordinator collects from each, then informs each (chapter IV).
 
-N hosts run in one process on the in-memory network, which counts what is sent. The coordinator starts on
-the last host, visits all in order to collect and again to inform: every visit is one hop, 2N in all. In a
-broadcast everyone tells everyone, N(N-1) messages, and at its end all know all opinions but nobody has
-decided.
+N hosts run in one process on the in-memory network, which counts messages. The coordinator starts on the
+last host and visits all hosts to collect and again to inform: every visit is one hop, 2N in total. In a
+broadcast every host sends to every other host, N(N-1) messages, after which all hosts have all opinions but
+no decision.
 
-A hop is confirmed by a short message that nobody waits for, as TCP confirms each message of a broadcast;
-the table shows these too.
+A hop is confirmed by a short message without waiting, as TCP confirms each message of a broadcast; the
+table shows these too.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ coordinator Vote {
 
 
 def counted(message: str) -> Opener:
-    """How many of these the coordinator takes: its migrations, or their short answers."""
+    """Count one type of message: the migrations of the coordinator, or their confirmations."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         return lambda: {case: [agree(processes.folder(), count)[message]] for case, count in _CASES.items()}
@@ -55,12 +55,12 @@ def counted(message: str) -> Opener:
 
 
 def broadcasting(checkout: Checkout, processes: Processes) -> Contender:
-    """Everyone tells everyone."""
+    """The messages of a broadcast from every host to every other host."""
     return lambda: {case: [count * (count - 1)] for case, count in _CASES.items()}
 
 
 def agree(folder: Path, count: int) -> Counter[str]:
-    """Let so many resources, each on a host of its own, agree on their greatest wish; what was sent."""
+    """Let `count` resources, each on its own host, agree on the greatest wish; returns the sent messages."""
     voters = [f"//Voter:v{i}@h{i}?{7 * i % count}" for i in range(count)]
     sent, written = carry_out(folder, _PROGRAM, [*voters, f"//Vote:vote@h{count - 1}"])
     decisions = {int(text) for text in written}

@@ -1,5 +1,5 @@
 """Counts the function calls of one hop, from the `pcall` to the first instruction of the portal, and of a
-device instruction, from the thread that gives it to the first byte on the wire of the device.
+device instruction, from the calling thread to the first byte on the wire of the device.
 
     .venv/bin/python tests/benchmarks/hops/call_count.py            # without and with journals
     .venv/bin/python tests/benchmarks/hops/call_count.py --list     # also each call, in order
@@ -7,9 +7,9 @@ device instruction, from the thread that gives it to the first byte on the wire 
 Both hosts run in this process on one event loop, over TCP and TLS of this computer. Nothing subscribes to
 events. A move is a call in another file than the call before; a return is a move to a file that the hop was
 in before. Of several hops the smallest count is printed, because timers of the hosts may fire during a hop.
-On a busy computer more of them do. So the same hop is also counted in a simulated team, without TLS, where
-every run has the same counts: `figures.tsv` has the most that they may be (test_call_count.py). Its figures
-over TCP were counted on a computer with nothing else to do.
+More timers fire on a busy computer. So the same hop is also counted in a simulated team without TLS, where
+every run has the same counts: `figures.tsv` has their upper bounds (test_call_count.py). Its figures over
+TCP were counted on an idle computer.
 """
 
 from __future__ import annotations
@@ -91,18 +91,18 @@ class Walk:
 
     @property
     def files(self) -> int:
-        """How many files have a function that was called."""
+        """The number of files with a called function."""
         return len({file for file, _ in self.calls})
 
     @property
     def moves(self) -> int:
-        """How often a call was in another file than the call before."""
+        """The number of calls in another file than the previous call."""
         files = [file for file, _ in self.calls]
         return sum(before != after for before, after in pairwise(files))
 
     @property
     def returns(self) -> int:
-        """How many of the moves led to a file that the hop was in before."""
+        """The number of moves to a file that the hop was in before."""
         seen: set[str] = set()
         count, last = 0, ""
         for file, _ in self.calls:
@@ -113,20 +113,20 @@ class Walk:
 
 
 class Recorder:
-    """Records the calls from the departure of a coordinator to the begin of the portal that it called."""
+    """Records the calls from the departure of a coordinator to the start of the called portal."""
 
     def __init__(self) -> None:
         self.walks: list[Walk] = []
         self._calls: list[tuple[str, str]] | None = None
 
     def on_departure(self) -> None:
-        """The thread of a coordinator has left the engine; of several times in one hop the first counts."""
+        """Start recording when the thread of a coordinator first leaves the engine in a hop."""
         if self._calls is None:
             self._calls = []
             sys.setprofile(self._on_event)
 
     def on_begin(self) -> None:
-        """The portal call has begun on the other host."""
+        """Stop recording when the portal call has started on the other host."""
         sys.setprofile(None)
         if self._calls is not None:
             self.walks.append(Walk(tuple(self._calls)))
@@ -135,13 +135,13 @@ class Recorder:
     def _on_event(self, frame: FrameType, event: str, _: Any) -> None:
         code = frame.f_code
         is_own = event == "call" and code.co_filename.startswith(_PACKAGE)
-        # Comprehensions are frames before Python 3.12 and none from there on.
+        # Comprehensions have frames of their own before Python 3.12 only.
         if is_own and self._calls is not None and not code.co_name.endswith(("comp>", "genexpr>")):
             self._calls.append((code.co_filename[len(_PACKAGE) + 1 :], code.co_qualname))
 
 
 class HopFigures(NamedTuple):
-    """The most that a hop may take."""
+    """Upper bounds of a hop."""
 
     calls: int
     files: int
@@ -182,7 +182,7 @@ def recording() -> Iterator[Recorder]:
 
 
 def _written(folder: Path, program: str = _PROGRAM, agents: str = _AGENTS) -> Path:
-    """The mission's deployment."""
+    """Write the mission; returns its deployment file."""
     (folder / "mission.L").write_text(program, encoding="utf-8")
     deploy = folder / "mission.dL"
     deploy.write_text(agents, encoding="utf-8")

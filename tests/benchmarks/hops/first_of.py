@@ -1,9 +1,9 @@
 """Costs and savings of the first of N calls: N resources search, each on its own host; one of them succeeds.
 
-The resource in the middle of the team needs a tenth of a second, the others half a second and find nothing.
-One after another the coordinator asks until one has found it. With futures it hops to begin each search, to
-the one that has found it, and at most twice to each other one to cancel. The network in memory counts hops
-and takes next to no time itself.
+The resource in the middle of the team succeeds after 0.1 s, the others fail after 0.5 s. In sequence, the
+coordinator calls one resource after another until the first success. With futures it hops once to start
+each search, once to the successful resource, and at most twice to each other one to cancel. The in-memory
+network counts hops and takes almost no time.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ WAYS = {
 
 
 def agents(count: int) -> list[str]:
-    """The resources on a host each, and the coordinator on the last one."""
+    """One resource on each host, and the coordinator on the last host."""
     return [*(f"//Searcher:s{i}@h{i}" for i in range(count)), f"//Team:team@h{count - 1}"]
 
 

@@ -1,9 +1,9 @@
-"""A remote portal call: hop there, run the portal, go on. Compared with a remote method call.
+"""A remote portal call, compared with a remote method call.
 
-Two hosts run as real processes on loopback TCP. One call is one hop: the block goes over once and nothing
-comes back but a confirmation that nobody waits for. With an RPC library the caller stays, so one call is a
-request and a reply with the same bytes in both. The live state is an int array of the given size, on top of
-the coordinator itself. L times itself: the two hosts share this machine's clock.
+Two hosts run as real processes on loopback TCP. One call is one hop: the block is sent once, and only an
+asynchronous confirmation returns. With an RPC library the caller does not move: one call is a request and a
+reply with the same bytes in both. The live state is an int array of the given size in addition to the
+coordinator. The L program measures the time: the two hosts share this computer's clock.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def hops(checkout: Checkout, processes: Processes, *, kept_on_disk: bool = False
 
 
 def leased_hops(checkout: Checkout, processes: Processes) -> Contender:
-    """The same, and other hosts may go on with it; so there is a third, without agents."""
+    """The same with recovery by a quorum, which needs a third host, without agents."""
     first = "        near = findPost"
     text = (_HERE / "hop.L").read_text(encoding="utf-8")
     program = processes.folder() / "hop.L"
@@ -47,7 +47,7 @@ def _agents() -> tuple[str, ...]:
 
 
 def calls(library: str) -> Opener:
-    """Echoes of a library."""
+    """Echo calls of a library."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         keys = Keyring(processes.folder()).give("host") / "host"
@@ -59,7 +59,7 @@ def calls(library: str) -> Opener:
 
 
 def _echoes(echo: Echo, count: int) -> list[float]:
-    """Seconds of each of CALLS echoes of so many bytes, after a warm-up."""
+    """Seconds of each of CALLS echoes, after a warm-up."""
     data, taken = bytes(count), []
     for _ in range(WARM_UP):
         echo(data)

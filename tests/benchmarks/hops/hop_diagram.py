@@ -1,8 +1,8 @@
 """Draws the sequence diagram of a hop from its calls: `python tests/benchmarks/hops/hop_diagram.py --write`.
 
-The calls are those that `call_count` records in a simulated team without journals, where every run is the
-same. An arrow is a call of a public function in another package than the call before. A
-test compares the result with the file in the docs.
+`call_count` records the calls in a simulated team without journals, where all runs are equal. An arrow is a
+call of a public function in another package than the previous call. A test compares the result with the
+file in the docs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hops.call_count import Walk, shortest  # noqa: E402
 PAGE = ROOT / "lfield" / "docs" / "hop-sequence.svg"
 #: The lifelines of each host, from the outside to the wire between them.
 PACKAGES = ("vm", "host", "replication", "net")
-#: The last function of the host that is left: what follows it runs on the other host.
+#: The last function on the host of departure: later calls run on the other host.
 WRITE = "StreamLink.write_now"
 
 COLUMN, ROW, TOP, MARGIN = 150, 20, 66, 90
@@ -37,7 +37,7 @@ class Arrow(NamedTuple):
 
 
 def arrows(walk: Walk) -> Iterator[Arrow]:
-    """The calls between lifelines, in their order. Private functions and other packages have none."""
+    """The calls between lifelines in order, without private functions and other packages."""
     lifeline, is_remote = 0, False
     for file, function in walk.calls:
         package = file.partition("/")[0]

@@ -1,8 +1,8 @@
 """The cost of writing a page to the disk: a hop has two commits, and each of them writes one page.
 
 A page of the given size is overwritten repeatedly, like the page of a coordinator; the loop waits for each
-commit here, but never in a host. Pages that are stored at the same time share one commit. For comparison, the
-minimum work of a disk: as many bytes are overwritten in a file, and synced.
+commit here, but not in a host. Pages that are stored at the same time share one commit. The reference is
+the minimum work of a disk: the same number of bytes is overwritten in a file and synced.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ COMMITS, AT_ONCE = 40, 16
 
 
 def keeping(at_once: int) -> Opener:
-    """Seconds for each page when so many are kept at once."""
+    """Seconds for each page when several are stored at the same time."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         return lambda: asyncio.run(_keep(processes.folder(), at_once))
@@ -50,7 +50,7 @@ async def _keep(folder: Path, at_once: int) -> dict[str, list[float]]:
 
 
 def syncing(checkout: Checkout, processes: Processes) -> Contender:
-    """A write and an fdatasync of so many bytes."""
+    """Seconds of a write with fdatasync."""
     descriptor = os.open(processes.folder() / "bytes", os.O_RDWR | os.O_CREAT)
     os.pwrite(descriptor, bytes(max(SIZES)), 0)
     os.fsync(descriptor)

@@ -17,7 +17,7 @@ from harness.processes import Processes
 from harness.samples import Contender, timed
 
 BATCHES, CALLS, POINTS = 10, 200, 10
-#: Seconds that a sample of CPython takes at least.
+#: The least seconds of a sample of CPython.
 LONG = 5e-3
 
 
@@ -41,13 +41,13 @@ class _Store:
 
 
 def portal_calls(checkout: Checkout, processes: Processes) -> Contender:
-    """The caller of local.L."""
+    """Run the caller of local.L."""
     agents = "//Store:store@here", f"//Caller:caller@here?{BATCHES}&{CALLS}&{POINTS}"
     return paced_mission(checkout, processes, Path(__file__).with_suffix(".L"), agents)
 
 
 def method_calls(checkout: Checkout, processes: Processes) -> Contender:
-    """The same in Python, objects copied."""
+    """Call a method in Python, with copied objects."""
     store, path = _Store(), _Path()
 
     def visits() -> None:

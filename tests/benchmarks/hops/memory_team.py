@@ -1,6 +1,6 @@
-"""A mission on the in-memory network, all hosts in one process: it counts what is sent.
+"""A mission on the in-memory network, all hosts in one process; the network counts messages.
 
-`figure_of` compares ways to work with N resources, each on a host of its own.
+`figure_of` compares programs that work with N resources, each on its own host.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from lfield.mission.mission import Mission
 
 #: The numbers of resources.
 SIZES = (2, 4, 8, 16)
-#: Seconds without a link after which a host counts as gone; none goes here.
+#: Seconds without a link after which a host counts as unreachable; no host is stopped here.
 _LOST_AFTER = 30.0
 
 
@@ -39,9 +39,9 @@ def figure_of(
     agents: Callable[[int], list[str]],
     targets: Mapping[str, str],
 ) -> Figure:
-    """Hops and seconds of each way, which replaces WORK in the program, with `agents` for each size.
+    """Hops and seconds of each way, whose text replaces WORK in the program, with `agents` for each size.
 
-    The last line that the program writes has the seconds.
+    The last line of the program's output has the seconds.
     """
 
     def opener(work: str) -> Opener:
@@ -70,9 +70,9 @@ def figure_of(
 
 
 def carry_out(folder: Path, program: str, agents: list[str]) -> tuple[Counter[str], list[str]]:
-    """Run a program until its one coordinator, on the last host, is done.
+    """Run a program until its only coordinator, which ends on the last host, is done.
 
-    Returns the messages that were sent, by name, and what each host has written.
+    Returns the numbers of sent messages by name, and the output of each host.
     """
     (folder / "mission.L").write_text(program, encoding="utf-8")
     deploy = folder / "mission.dL"
@@ -86,7 +86,7 @@ async def _carry_out(mission: Mission) -> tuple[Counter[str], list[str]]:
     written = {name: io.StringIO() for name in mission.team.hosts}
     hosts = [_host(mission, name, network, out) for name, out in written.items()]
     try:
-        # At once: a host with coordinators waits for the others' greetings before it starts them.
+        # Concurrently: a host with coordinators waits for the Hello of the other hosts before it starts them.
         await asyncio.gather(*(host.start() for host in hosts))
         (fate,) = await wait_until_done(hosts[-1], _LOST_AFTER)
         if fate.outcome != "done":

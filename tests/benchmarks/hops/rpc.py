@@ -1,8 +1,8 @@
-"""Servers that a remote portal call is compared with: they return the bytes that they receive.
+"""Echo servers of RPC libraries, for comparison with a remote portal call.
 
 `python rpc.py NAME KEYS` serves one of them on a free loopback port and prints the port; `CLIENTS[NAME]`
-connects to it. Each runs in its fastest common setting: no compression, no delay of small packets, bytes
-passed as they are. `KEYS` is a folder with the keys of a host, for servers with TLS.
+connects to it. Each runs in its fastest common setting: no compression, no delay of small packets, raw
+bytes. `KEYS` is a folder with the keys of a host, for servers with TLS.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from lfield.authority.key_material import AUTHORITY, certificate_name, key_name
 
-#: Sends bytes, returns the same bytes as they came back.
+#: Sends bytes and returns the echo.
 Echo = Callable[[bytes], bytes]
 
 _LENGTH = struct.Struct("<I")
@@ -30,7 +30,7 @@ HOST_CERTIFICATE, HOST_KEY = certificate_name("host"), key_name("host")
 
 
 def _receive(connection: socket.socket) -> bytes:
-    """One message with its length before it; b'' when the other end has left."""
+    """Receive one message with a length prefix; b'' at the end of the connection."""
     (left,) = _LENGTH.unpack(connection.recv(_LENGTH.size, socket.MSG_WAITALL) or _LENGTH.pack(0))
     return connection.recv(left, socket.MSG_WAITALL) if left else b""
 
@@ -40,7 +40,7 @@ def _send(connection: socket.socket, data: bytes) -> None:
 
 
 def serve_tcp(keys: Path) -> None:
-    """Blocking sockets: the least that can be done."""
+    """Serve with blocking sockets, the minimum of work."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         _say_port(server.getsockname()[1])
         connection, _ = server.accept()
@@ -65,7 +65,7 @@ def connect_tcp(port: int, keys: Path) -> Echo:
 
 
 def serve_pyro5(keys: Path) -> None:
-    """Serve with Pyro5: its multiplexing server, and the serializer that passes bytes unchanged."""
+    """Serve with Pyro5: the multiplexing server, and the serializer that passes bytes unchanged."""
     import Pyro5.api  # type: ignore[import-untyped]  # has no types
 
     Pyro5.config.SOCK_NODELAY, Pyro5.config.SERVERTYPE = True, "multiplex"
@@ -94,7 +94,7 @@ def connect_pyro5(port: int, keys: Path) -> Echo:
 
 
 def serve_rpyc(keys: Path, *, in_tls: bool = False) -> None:
-    """A threaded server; one thread, as there is one client."""
+    """Serve with RPyC; one thread for the one client."""
     import rpyc  # type: ignore[import-untyped]  # has no types
     from rpyc.core.channel import Channel  # type: ignore[import-untyped]  # has no types
     from rpyc.utils.authenticators import SSLAuthenticator  # type: ignore[import-untyped]  # has no types
@@ -108,7 +108,7 @@ def serve_rpyc(keys: Path, *, in_tls: bool = False) -> None:
 
     lock = SSLAuthenticator(keys / HOST_KEY, keys / HOST_CERTIFICATE, keys / AUTHORITY) if in_tls else None
     server = OneShotServer(Service, hostname="127.0.0.1", port=0, authenticator=lock)
-    # Connections that are accepted take the option over.
+    # Accepted connections inherit the option.
     server.listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     _say_port(server.port)
     server.start()
@@ -130,7 +130,7 @@ def connect_rpyc(port: int, keys: Path, *, in_tls: bool = False) -> Echo:
     made = stream.ssl_connect("127.0.0.1", port, proof, nodelay=True) if in_tls else None
     connection = rpyc.connect_stream(made or stream.connect("127.0.0.1", port, nodelay=True))
     remote = connection.root.echo
-    # The connection lives as long as somebody holds it.
+    # The connection closes when its last reference is dropped.
     return lambda data: bytes(remote(data)) if not connection.closed else b""
 
 
@@ -138,7 +138,7 @@ def connect_rpyc(port: int, keys: Path, *, in_tls: bool = False) -> Echo:
 
 
 def serve_grpc(keys: Path) -> None:
-    """A generic handler of bytes: no protocol buffers on the way."""
+    """Serve with a generic handler of bytes, without protocol buffers."""
     import grpc  # type: ignore[import-untyped]  # has no types
 
     handlers = {"echo": grpc.unary_unary_rpc_method_handler(lambda data, context: data)}

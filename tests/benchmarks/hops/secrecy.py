@@ -1,4 +1,4 @@
-"""The cost of TLS for a hop: the same hops with and without TLS, side by side; both hosts in this process."""
+"""The cost of TLS for a hop: the same hops with and without TLS in turns; both hosts in this process."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from hops.stages import travel
 from lfield import event_loop
 from lfield.vm.wasm.engine_selection import has_wasm
 
-#: Bytes of live state, on top of the coordinator itself.
+#: Bytes of live state in addition to the coordinator.
 SIZES = (64, 1 << 10, 8 << 10, 64 << 10)
-#: Hops of one round; the two take turns, so that a busy moment of the computer is both's.
+#: Hops of one round; the two take turns, so that load of the computer affects both.
 HOPS = 200
 
 
 def hops(*, plain: bool) -> Opener:
-    """Seconds of hops of each size; each round is two hosts of its own."""
+    """Seconds of hops of each size; each round starts two new hosts."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         return lambda: {_case(size): _wholes(size, plain=plain) for size in SIZES}

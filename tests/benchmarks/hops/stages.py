@@ -1,8 +1,8 @@
 """A hop stage by stage, from the `pcall` on one host to the portal's first instruction on the other.
 
-Both hosts run in this process, on one loop, over TCP of this computer: their clocks are one, and nobody is
-woken by the kernel from sleep, which is what a hop between two processes costs besides (`ONLY=hop`). Nothing
-is kept on disk; what that costs is a line of its own there.
+Both hosts run in this process, on one loop, over TCP of this computer: they share one clock, and the kernel
+does not wake a sleeping process, an additional cost of a hop between two processes (`ONLY=hop`). Nothing is
+stored on disk; the figure `hop` has a line for that cost.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from lfield.vm.memory.block_verifier import BlockVerifier
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.wasm.engine_selection import has_wasm
 
-#: Bytes of live state, on top of the coordinator itself.
+#: Bytes of live state in addition to the coordinator.
 SIZES = (64, 8 << 10)
 HOPS, WARM_UP = 400, 100
 
 ALL, TURNS, BEGINS, REST = "all of it", "the host's turn", "first instruction", "(the rest)"
 
-#: In the order in which they pass.
+#: The taps in the order of a hop.
 TAPS = (
     Tap("freeze", HostCallDispatcher, "dispatch", there=BEGINS),
     Tap("decide to go", HostServices, "depart"),
@@ -92,7 +92,7 @@ coordinator Traveller {
 
 
 def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
-    """The stages of hops of each size, by each engine."""
+    """The stages of hops of each size with each engine."""
     for size, engine in product(SIZES, ("reference", "wasm") if has_wasm() else ("reference",)):
         case = f"{size} B: {engine} engine"
         tick(case)
@@ -102,7 +102,7 @@ def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
 
 
 def rows(case: str, hops: list[Mapping[str, float]]) -> Iterator[Row]:
-    """A line for each stage; the ratio is its share of the whole."""
+    """A row for each stage; the ratio is its share of the whole."""
     whole = [sum(hop.values()) for hop in hops]
     yield Row(case, ALL, samples=whole)
     for stage in (*ORDER, ""):
@@ -114,7 +114,7 @@ def rows(case: str, hops: list[Mapping[str, float]]) -> Iterator[Row]:
 async def travel(
     folder: Path, size: int, count: int, engine: str, *, plain: bool = False
 ) -> list[Mapping[str, float]]:
-    """So many hops of a coordinator with so many bytes of live state, after a warm-up; in TLS, or `plain`."""
+    """Run `count` hops of a coordinator with `size` bytes of live state after a warm-up in TLS or `plain`."""
     (folder / "mission.L").write_text(_PROGRAM, encoding="utf-8")
     deploy = folder / "mission.dL"
     deploy.write_text(f"//Post:near@a\n//Post:far@b\n//Traveller:traveller@a?{size}\n", encoding="utf-8")
@@ -127,7 +127,7 @@ async def travel(
         try:
             await asyncio.gather(*(host.start() for host in hosts))
             while len(stages.hops) < WARM_UP + count:
-                _look(hosts)
+                _check_failures(hosts)
                 await asyncio.sleep(0.05)
         finally:
             for host in hosts:
@@ -140,7 +140,7 @@ def _in_tls(mission: Mission, keys: Keys) -> TcpTransport:
 
 
 def _plain(mission: Mission, name: str) -> TcpTransport:
-    """Of two hosts: whoever calls is the other."""
+    """A transport without TLS: every peer is identified as the other of the two hosts."""
     other = Identity("host", "b" if name == "a" else "a", EVERY_RIGHT)
     return TcpTransport(mission.max_block, identify=lambda _: other)
 
@@ -150,7 +150,7 @@ def _host(mission: Mission, name: str, engine: str, transport: TcpTransport) -> 
     return Host(mission, name, transport, Logbook(io.StringIO(), io.StringIO()), options)
 
 
-def _look(hosts: list[Host]) -> None:
+def _check_failures(hosts: list[Host]) -> None:
     for host in hosts:
         if host.failure is not None:
             raise RuntimeError(str(host.failure))

@@ -1,8 +1,7 @@
-"""Where the time of a hop goes: methods of lfield that are timed as they are called, in this process.
+"""The distribution of the time of a hop: methods of lfield are timed as they are called, in this process.
 
-A tap is entered and left with the method that it is on, and whatever passes meanwhile is its own, but for
-what inner taps take. So the stages of one hop add up to all of it. A tap costs a fraction of a microsecond,
-half of it inside its stage.
+A tap covers its method from entry to exit, without the time of inner taps. So the stages of one hop add up
+to the whole hop. A tap costs a fraction of a microsecond, half of it inside its stage.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ ENDS, READ = "(the end of the sender's turn)", "read: the kernel, the loop"
 
 @dataclass(frozen=True, slots=True)
 class Tap:
-    """A method by its owner (a class or a module) and name: the stage that it is, and the one behind it.
+    """A method by its owner (a class or a module) and name: its stage, and the stage after it (`behind`).
 
-    Behind most is the one that was before. `there` is the stage on the host that it came to, where it is
-    another: a hop begins where such a tap is entered, and ends where it is left there.
+    By default the stage before the call continues after it. `there` is the stage on the host of arrival, if
+    it differs: a hop begins with the entry of such a tap, and ends with its exit on the host of arrival.
     """
 
     stage: str
@@ -35,28 +34,28 @@ class Tap:
 
 
 class Stages:
-    """The stages of the hop that is under way, and those of all that were measured, in seconds."""
+    """The stages of the current hop, and of all measured hops, in seconds."""
 
     def __init__(self) -> None:
-        #: One for each hop.
+        #: The stages of each hop.
         self.hops: list[dict[str, float]] = []
         self._hop: dict[str, float] = {}
         self._stage, self._since, self._leaves = "", _now(), False
 
     def turn(self, stage: str) -> str:
-        """From now on time is that of another stage; returns the one before."""
+        """Start another stage; returns the previous one."""
         now, before = _now(), self._stage
         self._hop[before] = self._hop.get(before, 0.0) + now - self._since
         self._stage, self._since = stage, now
         return before
 
     def tapped(self, tap: Tap, method: Callable[..., Any]) -> Callable[..., Any]:
-        """The method, timed."""
+        """The method with timing."""
 
         def timed(*args: Any, **named: Any) -> Any:
             ends = bool(tap.there) and self._leaves
             if tap.there and not ends:
-                # Perhaps it leaves; if it does not, the next one does.
+                # A possible start of a hop: without a departure, the next entry starts it.
                 self._hop = {}
                 self._stage, self._since = "", _now()
             before = self.turn(tap.there if ends else tap.stage)
@@ -74,7 +73,7 @@ class Stages:
 
 @contextmanager
 def tapping(stages: Stages, taps: Sequence[Tap]) -> Iterator[None]:
-    """Time these methods for as long as this lasts. A name that is none is an AttributeError."""
+    """Time these methods within the context. Raises AttributeError for an unknown name."""
     methods = [getattr(tap.owner, tap.name) for tap in taps]
     try:
         for tap, method in zip(taps, methods, strict=True):

@@ -1,8 +1,8 @@
 """Costs and savings of `together`: N resources, each on its own host, work for a tenth of a second.
 
-The coordinator starts on the last host. One after another it makes a hop to each that is elsewhere and stands
-while that works. Together it hops to begin each and to fetch from each, at most 2N, and the work takes as
-long as one. The in-memory network counts the hops and takes next to no time itself.
+The coordinator starts on the last host. In sequence it hops to each resource on another host and waits
+there. With `together` it hops once to start each call and once to fetch each result, at most 2N hops, and
+all calls take the time of one. The in-memory network counts the hops and takes almost no time.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ WAYS = {"one after another": _LOOP, "together": f"together {{ {_LOOP} }}"}
 
 
 def agents(count: int) -> list[str]:
-    """The resources on a host each, and the coordinator on the last one, with the sum of the squares."""
+    """One resource on each host, and the coordinator on the last host with the expected sum of squares."""
     squares = sum(i * i for i in range(count))
     return [*(f"//Worker:w{i}@h{i}" for i in range(count)), f"//Team:team@h{count - 1}?{squares}"]
 

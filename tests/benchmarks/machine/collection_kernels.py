@@ -19,7 +19,7 @@ def append(n: int) -> int:
     """Append and pop."""
     a: list[int] = []
     for i in range(n):
-        a.append(i)  # each call is what is measured
+        a.append(i)  # each call is measured
     total = 0
     while len(a) > 0:
         total += a.pop()

@@ -1,6 +1,6 @@
-"""Arrays that grow and maps: run time of the same ten programs in L and in CPython, with its lists and dicts.
+"""Growing arrays and maps: run time of the same ten programs in L and in CPython with lists and dicts.
 
-Every engine that a host can choose is measured; each compares its results with those of CPython.
+Every engine of the host is measured; each compares its results with those of CPython.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _PROGRAM = Path(__file__).with_name("collections.L")
 
 
 def in_l(checkout: Checkout, processes: Processes, engine: str) -> Contender:
-    """collections.L on a host with this engine."""
+    """Run collections.L on a host with this engine."""
     agents = [f"//Bench:bench@here?{'&'.join(str(run()) for run in KERNELS.values())}"]
     return with_mean(paced_mission(checkout, processes, _PROGRAM, agents, options=checkout.engines[engine]))
 
 
 def in_python(checkout: Checkout, processes: Processes) -> Contender:
-    """collection_kernels.py in this process."""
+    """Run collection_kernels.py in this process."""
     return with_mean(lambda: {name: [timed(run, LONG)] for name, run in KERNELS.items()})
 
 

@@ -1,8 +1,8 @@
-"""How long the collector stops an agent, by what lives on its heap: many small objects, or one big array.
+"""The pause of an agent by the collector, with many small objects or one big array on its heap.
 
-The agent sees it: the longest of some allocations is one that had to wait for the collector, which works in
-proportion to live data only; 1 MiB is what fits into an agent by default, full. For scale, a
-plain copy of as many bytes: what no copying collector can beat.
+The agent measures the pause as the longest of several allocations, the one that had to wait for the
+collector. The work of the collector is proportional to the live data; 1 MiB is the default heap limit of an
+agent. The reference is a plain copy of the same number of bytes, the lower bound of a copying collector.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from harness.processes import Processes
 from harness.samples import Contender, timed
 
 SIZES = (16 << 10, 64 << 10, 256 << 10, 1 << 20)
-#: What is alive twice: once it stays.
+#: Twice the live data and some reserve: the collector copies.
 _LIMITS = "agents: {holder: {heap: 4 MiB}}\n"
 
 
 def holding(checkout: Checkout, processes: Processes, what: str, engine: str) -> Contender:
-    """collector.L with live data of one kind."""
+    """Run collector.L with live data of one kind."""
     agents = [f"//Holder:holder@here?{what}&{'&'.join(map(str, SIZES))}"]
     program = Path(__file__).with_suffix(".L")
     options = checkout.engines[engine]
@@ -30,14 +30,14 @@ def holding(checkout: Checkout, processes: Processes, what: str, engine: str) ->
 
 def _holders() -> dict[str, Opener]:
     return {
-        f"{told}, {engine}": partial(holding, what=what, engine=engine)
+        f"{name}, {engine}": partial(holding, what=what, engine=engine)
         for engine in sorted(Checkout.own().engines)
-        for what, told in (("objects", "small objects"), ("array", "one array"))
+        for what, name in (("objects", "small objects"), ("array", "one array"))
     }
 
 
 def copy(checkout: Checkout, processes: Processes) -> Contender:
-    """A copy in Python."""
+    """Copy the bytes in Python."""
     data = {count: bytearray(count) for count in SIZES}
     return lambda: {f"{count >> 10} KiB": [timed(lambda c=count: bytes(data[c]), 1e-3)] for count in SIZES}
 

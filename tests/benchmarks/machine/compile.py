@@ -1,6 +1,6 @@
-"""The run time of the commands that compile, from start to end.
+"""The run time of whole commands that compile.
 
-The programs: ten kernels; the stock resources of three drivers; and the same beside a registry of 100 more
+The programs: ten kernels; the stock resources of three drivers; and the same with a registry of 100 more
 capability types, of which none or all are used.
 """
 
@@ -35,7 +35,7 @@ _PRIMITIVE = """\
 
 
 def command(subcommand: str) -> Opener:
-    """A subcommand, on each program."""
+    """Run a subcommand on each program."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         folder = processes.folder()
@@ -62,7 +62,7 @@ def _write(folder: Path, name: str, text: str, registry: str) -> Path:
 
 
 def _programs() -> dict[str, tuple[str, str]]:
-    """L text and registry of each, by name."""
+    """L text and registry of each program, by name."""
     kernels = Path(__file__).with_name("kernels.L").read_text(encoding="utf-8")
     stock = (Checkout.own().root / "examples/03-mixed-team/mission.L").read_text(encoding="utf-8")
     calls = "".join(

@@ -1,7 +1,7 @@
-"""How long it takes from a text of L to its program, and how that grows with the text; in one process.
+"""The time from an L text to its program, and its growth with the length of the text; in one process.
 
-What a command adds to that is in the figure `compile`. The trees that are left over lead to each other:
-Python's collector takes them away later, which is counted by itself.
+The figure `compile` has the additional cost of a command. The remaining syntax trees have reference cycles:
+Python's garbage collector frees them later, which is counted separately.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PIECE = Path(__file__).with_suffix(".L").read_text(encoding="utf-8")
 
 
 def compiled(checkout: Checkout, processes: Processes) -> Contender:
-    """Programs of all lengths, each a file."""
+    """Compile programs of all lengths, each in one file."""
     folder, plugins = processes.folder(), discover()
     paths = {lines: folder / f"program{lines}.L" for lines in LINES}
     for lines, path in paths.items():
@@ -47,7 +47,7 @@ def compiled(checkout: Checkout, processes: Processes) -> Contender:
 
 
 def _seconds(work: Callable[[], object]) -> float:
-    """Of a processor: what else runs here does not count."""
+    """Processor time, without that of other processes."""
     start = time.process_time()
     work()
     return time.process_time() - start

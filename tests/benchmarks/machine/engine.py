@@ -1,7 +1,7 @@
-"""The engines' speed: run time of the same ten programs in L, in CPython, and in what else the machine has.
+"""The engines' speed: run time of the same ten programs in L, in CPython and in other installed languages.
 
-The programs are of the kind of chapter III. Every engine that a host can choose is measured, C and JavaScript
-where they are installed; each compares what it calculates with what CPython gives.
+The programs are like those of chapter III. Every engine of the host is measured, and C and JavaScript where
+they are installed; each compares its results with those of CPython.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from harness.processes import Processes
 from harness.samples import Contender, median, timed
 from machine.kernels import KERNELS
 
-#: Seconds that a sample takes at least: one run would be over before it can be trusted.
+#: The least seconds of a sample: one run is too short for a reliable measurement.
 LONG = 20e-3
 MEAN = "geometric mean"
 _HERE = Path(__file__).parent
 
 
 def in_l(checkout: Checkout, processes: Processes, engine: str) -> Contender:
-    """kernels.L on a host with this engine."""
+    """Run kernels.L on a host with this engine."""
     agents = [f"//Bench:bench@here?{'&'.join(_expected())}"]
     options = checkout.engines[engine]
     return with_mean(paced_mission(checkout, processes, _HERE / "kernels.L", agents, options=options))
 
 
 def in_python(checkout: Checkout, processes: Processes) -> Contender:
-    """kernels.py in this process."""
+    """Run kernels.py in this process."""
     return with_mean(lambda: {name: [timed(run, LONG)] for name, run in KERNELS.items()})
 
 
 def in_c(checkout: Checkout, processes: Processes) -> Contender:
-    """kernels.c, compiled here."""
+    """Compile and run kernels.c."""
     program = processes.folder() / "kernels"
     subprocess.run(["cc", "-O1", str(_HERE / "kernels.c"), "-o", str(program)], check=True)
     return with_mean(Paced([processes.start(str(program), *_expected())]))
 
 
 def in_javascript(checkout: Checkout, processes: Processes) -> Contender:
-    """kernels.js."""
+    """Run kernels.js."""
     return with_mean(Paced([processes.start("node", str(_HERE / "kernels.js"), *_expected())]))
 
 
@@ -54,7 +54,7 @@ def _expected() -> list[str]:
 
 
 def with_mean(contender: Contender) -> Contender:
-    """A round with the mean of its programs: that of the logarithms, in which each counts as much."""
+    """Add the geometric mean of the programs to each round."""
 
     def measured() -> Round:
         found = {case: list(samples) for case, samples in contender().items()}

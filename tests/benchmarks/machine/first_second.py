@@ -1,8 +1,8 @@
 """The first second of a program: processor time of a whole process that runs a kernel and ends.
 
-Each kernel takes CPython about a second. lfield starts a host, which has the machine code of the program
-before its agents begin, and ends with the mission. With an empty cache it compiles L text and WebAssembly
-first, in processes of their own, whose time counts.
+Each kernel takes CPython about a second. `lfield up` starts a host that loads the machine code of the
+program before its agents start, and ends with the mission. With an empty cache it first compiles L text and
+WebAssembly in child processes, whose time is included.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _HERE = Path(__file__).parent
 
 
 def in_l(checkout: Checkout, processes: Processes, cached: bool) -> Contender:
-    """Each kernel as a mission of one host; `cached`: it has run before."""
+    """Run each kernel as a mission of one host; with `cached` it has run before."""
     program = (_HERE / "first_second.L").read_text(encoding="utf-8")
     expected = {name: KERNELS[name](size) for name, size in SIZES.items()}
 
@@ -50,7 +50,7 @@ def in_l(checkout: Checkout, processes: Processes, cached: bool) -> Contender:
 
 
 def in_python(checkout: Checkout, processes: Processes) -> Contender:
-    """Each kernel as a Python program."""
+    """Run each kernel as a Python program."""
     expected = {name: KERNELS[name](size) for name, size in SIZES.items()}
 
     def took() -> Round:
@@ -65,7 +65,7 @@ def in_python(checkout: Checkout, processes: Processes) -> Contender:
 
 
 def _processor_seconds(child: Child, result: str) -> float:
-    """Processor time of a process and of those that it has started. Raises ChildError on another result."""
+    """Processor time of a process and its children. Raises ChildError for a wrong result."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     while not (line := child.line()).endswith(result):
         if "error" in line:

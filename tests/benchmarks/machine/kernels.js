@@ -1,4 +1,4 @@
-// The ten programs of kernels.L in JavaScript, the same way, statement by statement. Arguments: what each gives.
+// The ten programs of kernels.L in JavaScript, statement by statement. Arguments: the expected results.
 "use strict";
 
 class Tree {
@@ -163,7 +163,7 @@ function risky(i) {
     return i;
 }
 
-// JavaScript itself has no bounds.
+// JavaScript does not check array bounds.
 function element(array, i) {
     if (i >= array.length) throw new RangeError("no such element");
     return array[i];
@@ -219,6 +219,6 @@ function round() {
     console.log([...told, "end"].join("\n"));
 }
 
-// Each round is one turn of the timer, so that lines are written in between.
+// Each round is one turn of the timer, so that output is flushed between rounds.
 round();
 setInterval(round, 250);

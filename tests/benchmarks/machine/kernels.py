@@ -1,4 +1,4 @@
-"""The ten programs of kernels.L in Python, the same way, statement by statement."""
+"""The ten programs of kernels.L in Python, statement by statement."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class Link:
 
 
 class Queue:
-    """First in, first out."""
+    """A first-in, first-out queue."""
 
     def __init__(self) -> None:
         self.first: Link | None = None
         self.last: Link | None = None
 
     def put(self, number: int) -> None:
-        """Add one at the end."""
+        """Add a number at the end."""
         link = Link(number, None)
         if self.last is None:
             self.first = link
@@ -47,16 +47,16 @@ class Queue:
         self.last = link
 
     def take(self) -> int:
-        """The one that has waited longest."""
+        """Remove and return the first number."""
         link = self.first
-        self.first = link.next  # type: ignore[union-attr]  # it has one
+        self.first = link.next  # type: ignore[union-attr]  # not empty
         if self.first is None:
             self.last = None
         return link.number  # type: ignore[union-attr]  # as above
 
 
 class Counter:
-    """Does what it is told."""
+    """An object with five methods to call."""
 
     def __init__(self) -> None:
         self.value = self.turns = 0
@@ -137,7 +137,7 @@ def matrix(n: int) -> int:
 
 
 def objects(depth: int, many: int) -> int:
-    """Objects that are soon garbage."""
+    """Short-lived objects."""
     nodes = 0
     for _ in range(many):
         tree = Tree(depth)
@@ -163,7 +163,7 @@ def sort(n: int) -> int:
 
 
 def strings(n: int) -> int:
-    """Strings made, searched and read."""
+    """Create, search and read strings."""
     total = 0
     for i in range(n):
         words = "agent " + str(i) + " of " + str(n)
@@ -172,7 +172,7 @@ def strings(n: int) -> int:
 
 
 def exceptions(n: int) -> int:
-    """Exceptions of the program and of the machine, through a call and from beside."""
+    """Exceptions of the program and of the machine, from a called function and from the same function."""
     few = [0] * 4
     total = 0
     for i in range(n):
@@ -193,7 +193,7 @@ def checked(i: int) -> int:
 
 
 def risky(i: int) -> int:
-    """Every third time it throws."""
+    """Raise an exception in every third call."""
     if i % 3 == 0:
         raise ValueError("a third")
     return i

@@ -1,4 +1,4 @@
-"""The memory of a host without devices: all its pages, and its share only of those it shares (PSS)."""
+"""The memory of a host without devices: resident size, and with shared pages divided (PSS)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mission of one host without devices and one resource that idles: what a host costs by itself."""
+"""A mission of one host with an idle resource and no devices: the basic cost of a host."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ coordinator First {
 
 
 def small_host(measure: Measure, loop: str = "parked", compiled: bool = False, engine: str = "") -> Opener:
-    """Every round is a host of its own, that compiles L text at its start or runs a program file.
+    """Each round starts a new host, which compiles L text at its start or runs a program file.
 
-    It has the engine that it takes by itself, if none is said.
+    Without `engine` the host selects its engine.
     """
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
@@ -58,7 +58,7 @@ def small_host(measure: Measure, loop: str = "parked", compiled: bool = False, e
 
 
 def started(checkout: Checkout, processes: Processes, words: Sequence[str]) -> tuple[Child, Round]:
-    """A host after its first portal call, and the seconds that it took from its start."""
+    """Start a host and wait for its first portal call; returns the host and the seconds."""
     host, took = checkout.lfield(processes, "up", *words, merged=True), {}
     while (line := host.line()) != "called":
         if " listening " in line:
@@ -74,7 +74,7 @@ def processor_seconds(folder: Path) -> float:
 
 
 def settled(checkout: Checkout, processes: Processes, words: Sequence[str]) -> Path:
-    """The /proc folder of a host, after what is left of starting up."""
+    """Start a host and wait until its start is complete; returns its /proc folder."""
     host, _ = started(checkout, processes, words)
     time.sleep(0.5)
     return Path(f"/proc/{host.pid}")

@@ -1,6 +1,6 @@
-"""How long a host without devices takes to start, by engine, beside the bare Python that is part of it.
+"""The start time of a host without devices, by engine, and of Python alone.
 
-Python keeps compiled modules, as it does after the first start of an installed program.
+Compiled Python modules are cached, as after the first start of an installed program.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def start(checkout: Checkout, words: Sequence[str]) -> Round:
 
 
 def bare_python(checkout: Checkout, processes: Processes) -> Contender:
-    """Python that prints a line."""
+    """Seconds until Python prints a line."""
 
     def start() -> Round:
         with Processes() as processes:

@@ -1,6 +1,6 @@
-"""The cost of exporting 60,000 events of two copters and of a coordinator that hops, in each format.
+"""The cost of exporting 60,000 events of two copters and a hopping coordinator, in each format.
 
-Of ten events six are telemetry with 20 quantities, and four are those of a portal call with its hop.
+Six of ten events are telemetry with 20 quantities, four belong to a portal call with its hop.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _mcap(items: list[DatedEvent]) -> int:
 
 
 class _Table(io.StringIO):
-    """A table in memory, whose size is known when it is closed."""
+    """A table in memory that records its size when it is closed."""
 
     size = 0
 

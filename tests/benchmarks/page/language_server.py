@@ -1,6 +1,6 @@
-"""The time that an editor waits: an edit in a program of 5,000 lines, then the answer of `lfield lsp`.
+"""The response time of `lfield lsp` to an edit in a program of 5,000 lines.
 
-The program is the ten kernels, 21 times with other names. Each sample is one edit and its answer, through the
+The program has 21 renamed copies of the ten kernels. Each sample is one edit and its answer, through the
 pipes of the server process.
 """
 
@@ -31,7 +31,7 @@ def program() -> str:
 
 
 def server(checkout: Checkout, processes: Processes) -> Contender:
-    """A server with that program."""
+    """Start a server and open the program."""
     session, text = processes.keep(LspSession(processes.folder())), program()
     session.open(NAME, text)
     lines = text.split("\n")
@@ -55,7 +55,7 @@ def server(checkout: Checkout, processes: Processes) -> Contender:
             samples.append(time.perf_counter() - start)
             session.change(NAME, line, 0, len(f"{text}{n};"), "")
             session.await_diagnostics(NAME)
-        # Each edit is followed by its reversal.
+        # Each edit is undone by a second one.
         return samples, (session.processor_time() - before) / (2 * EDITS)
 
     symbols = {"textDocument": session.document(NAME)}

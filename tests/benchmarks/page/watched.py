@@ -1,4 +1,4 @@
-"""The cost of the page of `lfield watch` for the operator's computer, and its delay in showing a latch."""
+"""The cost of the page of `lfield watch` on the operator's computer, and the display delay of a latch."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from harness.processes import Child, Processes
 from harness.samples import Contender
 from machine.small import processor_seconds
 
-#: How many vehicles, each told of 5 times a second.
+#: Numbers of vehicles, each with telemetry at 5 Hz.
 TEAMS = (2, 10, 50, 100)
-#: Seconds of each round, and how often a browser asks.
+#: Seconds of each round, and between two requests of a browser.
 MEASURED, ASKED_EVERY = 10.0, 0.2
-PROCESSOR, MEMORY, LATCH, LOOK = "processor", "resident", "from a latch to the page", "a look"
+PROCESSOR, MEMORY, LATCH, ANSWER = "processor", "resident", "from a latch to the page", "an answer"
 
 _PAGE, _HOSTS = (str(Path(__file__).with_name(f"watched_{name}.py")) for name in ("page", "hosts"))
 
@@ -38,18 +38,18 @@ class Browser:
         self._line = 0
         self.size = 0
 
-    def look(self) -> dict[str, bool]:
-        """Which devices are latched as the page shows it."""
+    def request(self) -> dict[str, bool]:
+        """Request the page's data; returns for each device whether it is latched."""
         self._connection.request("GET", f"/look?after={self._line}", headers=self._headers)
-        said = self._connection.getresponse().read()
-        self.size = len(said)
-        told = json.loads(said)
-        self._line = told["log"][-1]["serial"] if told["log"] else self._line
-        return {d["name"]: bool(d["latched"]) for v in told["look"]["vehicles"] for d in v["devices"]}
+        answer = self._connection.getresponse().read()
+        self.size = len(answer)
+        data = json.loads(answer)
+        self._line = data["log"][-1]["serial"] if data["log"] else self._line
+        return {d["name"]: bool(d["latched"]) for v in data["look"]["vehicles"] for d in v["devices"]}
 
 
 def watched(count: int) -> Opener:
-    """The page of so many vehicles, in one browser."""
+    """Measure the page of `count` vehicles in one browser."""
 
     def opener(checkout: Checkout, _: Processes) -> Contender:
         return lambda: measure(checkout, count)
@@ -58,7 +58,7 @@ def watched(count: int) -> Opener:
 
 
 def measure(checkout: Checkout, count: int) -> Round:
-    """A page for some seconds, from which a browser asks for a look as often as it does."""
+    """Serve a page for some seconds to a browser with its usual request rate."""
     with Processes() as processes:
         where = str(processes.folder()), str(count)
         hosts = checkout.run(processes, _HOSTS, *where)
@@ -68,13 +68,13 @@ def measure(checkout: Checkout, count: int) -> Round:
         child.line()
         folder = Path(f"/proc/{child.pid}")
         for _ in range(10):
-            assert len(browser.look()) == count
+            assert len(browser.request()) == count
             time.sleep(ASKED_EVERY)
         before, start = processor_seconds(folder), time.monotonic()
-        looks = []
+        answers = []
         while time.monotonic() - start < MEASURED:
-            looks.append((browser.look(), time.monotonic()))
-            time.sleep(max(0.0, ASKED_EVERY - (time.monotonic() - looks[-1][1])))
+            answers.append((browser.request(), time.monotonic()))
+            time.sleep(max(0.0, ASKED_EVERY - (time.monotonic() - answers[-1][1])))
         spent, took = processor_seconds(folder) - before, time.monotonic() - start
         memory = (folder / "smaps_rollup").read_text(encoding="ascii")
         (resident,) = (
@@ -83,34 +83,36 @@ def measure(checkout: Checkout, count: int) -> Round:
         return {
             PROCESSOR: [100 * spent / took],
             MEMORY: [resident],
-            LOOK: [browser.size / 1000],
-            LATCH: delays(hosts, looks, start, MEASURED),
+            ANSWER: [browser.size / 1000],
+            LATCH: delays(hosts, answers, start, MEASURED),
         }
 
 
 def delays(
-    child: Child, looks: list[tuple[dict[str, bool], float]], start: float, seconds: float
+    child: Child, answers: list[tuple[dict[str, bool], float]], start: float, seconds: float
 ) -> list[float]:
-    """For each latch of that time how long it took until a look had it."""
+    """The seconds of each latch in that time until an answer of the page has it."""
     found = []
     while True:
         device, latched, at = child.line().split()
         if float(at) > start + seconds - 1.0:
             return found
-        shown = (seen for told, seen in looks if seen > float(at) and told[device] == bool(int(latched)))
+        shown = (
+            moment for page, moment in answers if moment > float(at) and page[device] == bool(int(latched))
+        )
         if float(at) > start:
             found.append(next(shown) - float(at))
 
 
 FIGURE = Figure(
-    "The page of lfield watch, each vehicle told of 5 times a second",
+    "The page of lfield watch with telemetry of each vehicle at 5 Hz",
     {f"{count} vehicles": watched(count) for count in TEAMS},
     rounds=3,
-    units={PROCESSOR: PERCENT, MEMORY: BYTES, LATCH: SECONDS, LOOK: "kB"},
+    units={PROCESSOR: PERCENT, MEMORY: BYTES, LATCH: SECONDS, ANSWER: "kB"},
     sizes={f"{count} vehicles": count for count in TEAMS},
     targets={"50 vehicles: processor": "20.00 %"},
     notes=(
-        "the process that serves it, one browser that asks 5 times a second; of one core",
+        "the server process of the page, one browser with 5 requests a second; percent of one core",
         "every vehicle has a host of its own, and each host a link over a Unix socket",
     ),
 )

@@ -1,8 +1,8 @@
-"""The hosts of so many vehicles, one each, at Unix sockets of a folder: `watched_hosts.py FOLDER N`.
+"""Simulated hosts of N vehicles, one each, at Unix sockets of a folder: `watched_hosts.py FOLDER N`.
 
-They greet, take a `Subscribe`, and tell as often as it says, in the bytes of real hosts over real links;
-nothing but a vehicle's telemetry is behind them. What they send beyond what was seen is bounded as theirs is.
-Says `ready`, and then a line for each latch: device, whether it is held, monotonic time.
+They send `Hello`, accept a `Subscribe`, and send telemetry at the requested rate over real links in the
+wire format of real hosts. Unacknowledged batches are limited by the same window as in a real host. Prints
+`ready`, then a line for each latch: device, 1 or 0 (latched or released), monotonic time.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from lfield.wire.subscription_messages import WINDOW, EventAck, EventBatch, Subs
 RATE = 5.0
 #: Seconds between two latches of the team, on average.
 LATCH_EVERY = 0.7
-#: The seconds that a host waits for more before it sends a batch.
+#: Seconds in which a host collects events of a batch.
 GATHERED = 0.05
 
 
 class Host:
-    """One, and who watches it. Implements `LinkHandler`."""
+    """A host and the link of its observer. Implements `LinkHandler`."""
 
     def __init__(self, number: int) -> None:
         self.number, self._began = number, time.monotonic()
@@ -48,11 +48,11 @@ class Host:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody has asked for what happens."""
+        """True while an observer is subscribed."""
         return self._link is not None
 
     def on_message(self, link: Link, message: Message) -> None:
-        """A greeting, a watch, or that something was seen."""
+        """Handle `Hello`, `Subscribe` and `EventAck`."""
         match message:
             case Hello():
                 link.accept_role(message.role)
@@ -64,32 +64,32 @@ class Host:
                 self._seen = batch
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """Nobody sends one."""
+        """Ignore: observers send no coordinators."""
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """Nor a larger one."""
+        """Ignore: observers send no coordinators."""
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """Whoever watched is gone."""
+        """Forget the closed link of the observer."""
         self._link = None
 
     def telemetry(self) -> None:
-        """Send telemetry, and sometimes the place of a coordinator; nothing if the watcher lags."""
+        """Send telemetry, and sometimes the activity of a coordinator; nothing while the observer lags."""
         if self._batches - self._seen >= WINDOW:
             return
-        self._tell(self._measured())
+        self._queue(self._measured())
         if self._rng.random() < 0.1:
-            self._tell(AgentActivity("pilot", "running", "mission.L", 12, "v1.fly"))
+            self._queue(AgentActivity("pilot", "running", "mission.L", 12, "v1.fly"))
         self._send()
 
     async def state(self, what: DeviceLatched | DeviceReleased | MigrationArrived) -> None:
-        """Something that no watcher may miss."""
+        """Send a state event, which must not be lost."""
         self._states += 1
-        self._tell(what)
+        self._queue(what)
         await asyncio.sleep(self._rng.uniform(0.0, GATHERED))
         self._send()
 
-    def _tell(
+    def _queue(
         self, what: DeviceTelemetry | AgentActivity | DeviceLatched | DeviceReleased | MigrationArrived
     ) -> None:
         up = time.monotonic() - self._began
@@ -129,7 +129,7 @@ class Host:
 
 
 async def latches(hosts: list[Host]) -> None:
-    """A device goes into its safe state, or out of it, and a coordinator comes somewhere."""
+    """Latch or release a device and move a coordinator, repeatedly."""
     dice, number = random.Random(2), 0
     while True:
         await asyncio.sleep(dice.uniform(0.5, 1.5) * LATCH_EVERY)
@@ -144,7 +144,7 @@ async def latches(hosts: list[Host]) -> None:
 
 
 async def main(folder: str, count: int) -> None:
-    """Tell until killed."""
+    """Send events until killed."""
     transport, hosts = TcpTransport(1 << 20), [Host(number) for number in range(count)]
     listeners = [
         await transport.listen(f"unix:{folder}/h{host.number}.sock", lambda _, host=host: host)

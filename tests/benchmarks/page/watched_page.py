@@ -1,7 +1,7 @@
-"""The page of a team of so many vehicles at Unix sockets of a folder: `watched_page.py FOLDER N`.
+"""The page of a team of N vehicles at Unix sockets of a folder: `watched_page.py FOLDER N`.
 
-All that `lfield watch` has: a link to each host and the follower behind it, the picture, the server. Prints
-its link.
+All parts of `lfield watch`: a link and an event follower for each host, the team model, the server. Prints
+the link of the page.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from lfield.operator.web.page_server import ServedPage, serve
 from lfield.operator.web.page_site import local_site
 
 
-class NobodyActs:
-    """No button is pressed."""
+class NoOrders:
+    """The orders of a page on which no button is pressed."""
 
     denied_orders: dict[str, str] = {}
 
@@ -37,7 +37,7 @@ async def main(folder: str, count: int) -> None:
     async def reach(host: str) -> str:
         return f"unix:{folder}/{host}.sock"
 
-    page = ServedPage("bench", shown, NobodyActs(), clock)  # type: ignore[arg-type]
+    page = ServedPage("bench", shown, NoOrders(), clock)  # type: ignore[arg-type]
     await asyncio.gather(
         serve(page, await local_site(0, print), lambda link: print(link, flush=True)),
         shown.tick(),

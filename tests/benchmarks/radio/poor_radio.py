@@ -1,10 +1,10 @@
-"""lfield on poor radio, beside what else speaks over a network: hops, stops, outages, bytes at rest.
+"""lfield on poor radio, compared with other protocols: hops, stops, outages, bytes at rest.
 
-All but the part `virtual` runs in network namespaces on an emulated radio (tests/radio/emulator), which needs
-root. Several teams, each on a radio of its own, are measured at a time; samples of all are put together.
+All parts except `virtual` run in network namespaces on an emulated radio (tests/radio/emulator), which needs
+root. Several teams, each on its own radio, are measured at a time; their samples are combined.
 
-    make bench ONLY=radio                                     2,000 samples of each, some hours
-    make bench ONLY=radio ROUNDS=100                          so many samples of each
+    make bench ONLY=radio                                     2,000 samples of each, several hours
+    make bench ONLY=radio ROUNDS=100                          100 samples of each
     PARTS=virtual make bench ONLY=radio                       stops in virtual time, two minutes, without root
     PARTS=stops CELLS='20 %,200 ms + 5 %' HOSTS=1 WAYS='command,page' make bench ONLY=radio ROUNDS=100
 """
@@ -24,16 +24,16 @@ from radio.radio_parts import hops, idle, outages, stops
 from radio.radio_virtual import virtual
 
 SAMPLES = 2000
-#: The radios for which there is a bound for stops, and a perfect one.
+#: A perfect radio, and the radios with a bound for stops.
 STOP_CELLS = ("perfect", "20 %", "57.6 kbit/s + 100 ms + 5 %", "200 ms + 5 %")
-#: Options of TCP by their numbers (linux/tcp.h).
+#: TCP options and their numbers (linux/tcp.h).
 OPTIONS = {
     "TCP_THIN_LINEAR_TIMEOUTS": 16,
     "TCP_RTO_MAX_MS": 44,
     "TCP_RTO_MIN_US": 45,
     "TCP_DELACK_MAX_US": 46,
 }
-#: The rows of a cell, or of all together.
+#: A function that yields the rows of a cell.
 Part = Callable[[Checkout, int, Tick, str], Iterator[Row]]
 PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {
     "hops": (hops, tuple(CELLS)),
@@ -45,7 +45,7 @@ PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {
 
 
 def rows(checkout: Checkout, samples: int, tick: Tick) -> Iterator[Row]:
-    """All parts, or those that $PARTS and $CELLS name."""
+    """The rows of all parts, or of those that $PARTS and $CELLS name."""
     why = missing()
     for name in chosen("PARTS", tuple(PARTS)):
         part, cells = PARTS[name]
@@ -60,7 +60,7 @@ def rows(checkout: Checkout, samples: int, tick: Tick) -> Iterator[Row]:
 
 
 def kernel() -> str:
-    """Which options of TCP this kernel has."""
+    """The TCP options of this kernel."""
     with socket.socket() as tried:
         return ", ".join(f"{name} {_has(tried, number)}" for name, number in OPTIONS.items())
 

@@ -1,4 +1,4 @@
-"""A push of a small change to two robots on poor radio, beside the whole bundle over plain TCP.
+"""A push of a small change to two robots on poor radio, compared with the whole bundle over plain TCP.
 
 make bench ONLY=push            ten pushes in each cell, about five minutes; needs root for the namespaces
 CELLS='20 %' make bench ONLY=push ROUNDS=3
@@ -26,7 +26,7 @@ PUSH_CELLS = ("perfect", "200 ms + 5 %", "57.6 kbit/s + 100 ms + 5 %", "20 %")
 #: Lines of text in the program, and seconds for one push.
 LINES, PATIENCE = 150, 300.0
 PORT, SERVICE = 9000, 8182
-#: Reads a file until its end, and confirms it.
+#: A program that receives a file and confirms it.
 RECEIVER = f"""
 import socket
 s = socket.create_server(("", {PORT}))
@@ -36,7 +36,7 @@ while True:
     while c.recv(65536): pass
     c.sendall(b"k"); c.close()
 """
-#: Sends as many bytes as its first argument says to the other arguments at the same time; prints the seconds.
+#: A program with arguments SIZE ADDRESS...: sends SIZE bytes to all addresses at once; prints the seconds.
 SENDER = f"""
 import socket, sys, threading, time
 data = __import__("os").urandom(int(sys.argv[1]))

@@ -1,10 +1,10 @@
-"""Presses stop again and again, from a command or on the page of `lfield watch`, and prints how long it took.
+"""Stops a team repeatedly, by a command or the page of `lfield watch`, and prints the seconds of each stop.
 
-    radio_desk.py command PAUSE MISSION OPTION...       what `lfield estop` does, without the start of Python
-    radio_desk.py page PAUSE LINK                       the button of the page at that link
+radio_desk.py command PAUSE MISSION OPTION...       like `lfield estop`, without the start of Python
+radio_desk.py page PAUSE LINK                       the button of the page at that link
 
-Prints `stopping`, then `stop = SECONDS` when every device has confirmed, `lifting` and `lifted`. What was not
-confirmed is pressed again, as part of the same stop, and a line `again: ...` says why.
+Prints `stopping`, then `stop = SECONDS` when every device has confirmed, `lifting` and `lifted`. An
+unconfirmed order is repeated as part of the same stop; a line `again: ...` has the reason.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from urllib.parse import urlsplit
 
 from lfield.cli.main import main as lfield
 
-#: Seconds that whatever belongs to the one order has before the next one.
+#: Seconds for the traffic of an order before the next one.
 SETTLE = 0.1
-#: Gives an order, `stop` or `lift`; returns why it was not carried out, or "".
+#: Sends an order, `stop` or `lift`; returns the reason of a failure, or "".
 Press = Callable[[str], str]
 
 
 def command(words: Sequence[str]) -> Press:
-    """`lfield estop`, in this process."""
+    """Orders by `lfield estop` in this process."""
 
     def press(order: str) -> str:
-        said = io.StringIO()
+        output = io.StringIO()
         option = "--lift" if order == "lift" else "--no-wait"
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             status = lfield(["estop", *words, option])
-        return f"status {status}: {said.getvalue()}" if status else ""
+        return f"status {status}: {output.getvalue()}" if status else ""
 
     return press
 
 
 def page(link: str) -> Press:
-    """The request that a browser sends when a person presses a button."""
+    """Orders by the requests that a browser sends for a button."""
     address = urlsplit(link)
     connection = http.client.HTTPConnection(address.netloc, timeout=60)
     connection.request("GET", f"{address.path}?{address.query}")
@@ -53,8 +53,8 @@ def page(link: str) -> Press:
     }
 
     def press(order: str) -> str:
-        said = json.dumps({"action": order, "pressed": time.monotonic()})
-        connection.request("POST", "/act", said, headers)
+        body = json.dumps({"action": order, "pressed": time.monotonic()})
+        connection.request("POST", "/act", body, headers)
         answered = connection.getresponse()
         text = answered.read().decode()
         return "" if answered.status == 200 and json.loads(text)["well"] else f"{answered.status}: {text}"
@@ -62,8 +62,8 @@ def page(link: str) -> Press:
     return press
 
 
-def persistently(press: Press, order: str) -> float:
-    """Seconds until it was carried out."""
+def repeat_until_done(press: Press, order: str) -> float:
+    """Repeat an order until it is carried out; returns the seconds."""
     start = time.monotonic()
     while why := press(order):
         print("again:", " ".join(why.split()), flush=True)
@@ -71,16 +71,16 @@ def persistently(press: Press, order: str) -> float:
 
 
 def run(press: Press, pause: float) -> None:
-    """Stop and lift for ever."""
+    """Stop and lift until killed."""
     while True:
         print("lifting", flush=True)
         time.sleep(SETTLE)
-        persistently(press, "lift")
+        repeat_until_done(press, "lift")
         print("lifted", flush=True)
         time.sleep(pause)
         print("stopping", flush=True)
         time.sleep(SETTLE)
-        print(f"stop = {persistently(press, 'stop'):.6f}", flush=True)
+        print(f"stop = {repeat_until_done(press, 'stop'):.6f}", flush=True)
         time.sleep(SETTLE)
 
 

@@ -1,4 +1,4 @@
-"""Processes that print how long something took, each on a radio of its own, watched together."""
+"""Lanes: processes that print measured seconds, each on its own radio, polled together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from emulator.radio import Radio
 from harness.processes import Child, ChildError
 from radio.radio_team import DESK
 
-#: Seconds between two looks at what processes have printed, without a sample before a lane has failed.
+#: Seconds between two polls of the processes' output; seconds without a sample after which a lane has failed.
 POLL_INTERVAL, PATIENCE = 0.005, 240.0
 
 
@@ -22,15 +22,15 @@ class Lane:
     radio: Radio
     child: Child
     key: str
-    #: Seconds of each sample since `start`, and when it came (monotonic, s).
+    #: Seconds of each sample since `start`, and its monotonic time of arrival (s).
     samples: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    #: The last other line.
-    said: str = ""
+    #: The last line that is not a sample.
+    last_line: str = ""
     _skip: int = 0
 
     def start(self, cell: str, skip: int = 0) -> None:
-        """Set the radio and measure from here, without the next samples: the cell was another in them."""
+        """Set the radio and restart the measurement. Skips the next samples, which began in another cell."""
         self.radio.set(CELLS[cell])
         self.read_output()
         self.samples.clear()
@@ -38,7 +38,7 @@ class Lane:
         self._skip = 1 + skip
 
     def read_output(self) -> None:
-        """Take what the process has printed. Raises ChildError for a line `error: ...`."""
+        """Read the output of the process. Raises ChildError for a line `error: ...`."""
         for line in self.child.lines():
             key, equals, value = line.partition(" = ")
             if equals and key == self.key:
@@ -46,11 +46,11 @@ class Lane:
             elif line.startswith("error: "):
                 raise ChildError(line.removeprefix("error: "))
             else:
-                self.said = line
+                self.last_line = line
                 self.on_line(line)
 
     def on_line(self, line: str) -> None:
-        """Something else was printed."""
+        """Handle a line that is not a sample."""
 
     def _sample(self, seconds: float) -> None:
         if self._skip:
@@ -62,15 +62,15 @@ class Lane:
 
 @dataclass
 class StopLane(Lane):
-    """A desk that stops and lifts (radio_desk.py), and what each stop has sent to it and from it, in bytes.
+    """A desk that stops and lifts (radio_desk.py), and the bytes to and from it for each stop.
 
-    What its links send by themselves is measured in the rest before, and subtracted.
+    The idle traffic of its links is measured in the pause before, and subtracted.
     """
 
     sizes: list[float] = field(default_factory=list)
     #: Bytes per second of the desk's links at rest.
     idle: list[float] = field(default_factory=list)
-    #: Lines that say why a stop was pressed again.
+    #: Lines with the reason for a repeated stop.
     again: list[str] = field(default_factory=list)
     _since: float = 0.0
 
@@ -96,7 +96,7 @@ class StopLane(Lane):
 
 
 def watch(lanes: Sequence[Lane], done: Callable[[], bool], patience: float = PATIENCE) -> None:
-    """Look at lanes until it is done. Raises ChildError when one of them has no sample for too long."""
+    """Poll lanes until `done`. Raises ChildError for a lane without a sample for `patience` seconds."""
     counts, last = [-1] * len(lanes), [0.0] * len(lanes)
     while not done():
         now = time.monotonic()
@@ -105,12 +105,12 @@ def watch(lanes: Sequence[Lane], done: Callable[[], bool], patience: float = PAT
             if len(lane.samples) != counts[n]:
                 counts[n], last[n] = len(lane.samples), now
             elif now - last[n] > patience:
-                raise ChildError(f"no sample within {patience:g} s; the last line was: {lane.said}")
+                raise ChildError(f"no sample within {patience:g} s; the last line was: {lane.last_line}")
         time.sleep(POLL_INTERVAL)
 
 
 def collect(lanes: Sequence[Lane], cell: str, count: int, skip: int = 0) -> list[float]:
-    """So many samples of a cell: of every lane the same number, lest slow ones be left out at the end."""
+    """Collect `count` samples of a cell, the same number from every lane, also from slow ones."""
     each = -(-count // len(lanes))
     for lane in lanes:
         lane.start(cell, skip)
@@ -119,7 +119,7 @@ def collect(lanes: Sequence[Lane], cell: str, count: int, skip: int = 0) -> list
 
 
 def outages(lanes: Sequence[Lane], robot: str, seconds: float) -> list[float]:
-    """Cut a robot of each lane off: seconds from the path's return until something was completed."""
+    """Cut off a robot of each lane; returns seconds from the path's return until the next sample."""
     returns = [lane.radio.cut(seconds, robot) for lane in lanes]
     pairs = list(zip(lanes, returns, strict=True))
     watch(lanes, lambda: all(_after(lane, back) for lane, back in pairs), PATIENCE + seconds)
@@ -127,9 +127,9 @@ def outages(lanes: Sequence[Lane], robot: str, seconds: float) -> list[float]:
 
 
 def address_changes(lanes: Sequence[Lane], robot: str, address: str, within: float) -> list[float]:
-    """Give a robot of each lane another address: seconds until something was completed, `within` at most.
+    """Change the address of a robot of each lane; returns seconds until the next sample, at most `within`.
 
-    In the end each has its first address again, and something was completed with that.
+    At the end each robot has its first address again, and a sample was completed with it.
     """
     homes = [lane.radio[robot].address for lane in lanes]
     moved = [(lane, _move(lane, robot, address)) for lane in lanes]
@@ -143,7 +143,7 @@ def address_changes(lanes: Sequence[Lane], robot: str, address: str, within: flo
 
 def _move(lane: Lane, robot: str, address: str) -> float:
     lane.radio[robot].move(address)
-    # What was complete before is not taken for what comes after.
+    # Read earlier samples, which must not count for the new address.
     lane.read_output()
     return time.monotonic()
 

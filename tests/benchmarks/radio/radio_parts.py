@@ -21,32 +21,32 @@ from radio.radio_team import DESK, Prepared, RadioTeam
 
 from lfield.testing.keyring import Keyring
 
-#: Lanes that are measured at a time: of long round trips and of short ones.
+#: Lanes that are measured at a time: with long round trips and with short ones.
 LANES, FAST_LANES = 20, 8
-#: A vehicle, its host and its guard take about a quarter of a processor: so many vehicles for each, lest it
-#: be the processor that is measured.
+#: Vehicles for each processor. A vehicle, its host and its guard use about a quarter of one; more vehicles
+#: would make the processor the bottleneck.
 VEHICLES_OF_A_PROCESSOR = 1.5
-#: A lane that measures fewer is not worth its start.
+#: The least samples of a lane that justify its start.
 SAMPLES_OF_A_LANE = 10
 #: A round trip in s below which lanes keep a processor busy, and the size of a request in bytes.
 FAST, SIZE = 0.09, 600
-#: Links that were made on a perfect radio learn a longer round trip for so many seconds, on this one: else
-#: they fill a slow channel with repeats.
+#: The cell and the seconds in which links from a perfect radio adapt to a longer round trip; without it
+#: they fill a slow channel with retransmissions.
 MEANWHILE, ADAPTS = "50 ms", 6.0
-#: Bytes of a request that is as small as an order to stop.
+#: Bytes of a request of the size of a stop order.
 ORDER = 150
-#: Seconds between a lift and the next stop: the copter is released and held meanwhile.
+#: Seconds between a lift and the next stop, in which the copter is released.
 PAUSE = "0.6"
-#: Samples of a lane that are not counted: the connection learns its round trip.
+#: Samples of a lane that are not counted: the connection adapts to its round trip.
 WARM_UP = 10
-#: The seconds of outages, lanes that have them at a time, and seconds between two of them.
+#: The seconds of outages, lanes with outages at a time, and seconds between two outages.
 OUTAGES, LANES_WITH_OUTAGES, BETWEEN = (1.0, 5.0, 15.0, 30.0), 6, 4.0
-#: The address that a robot changes to, and the seconds that what is compared has to continue from there.
+#: The new address of a robot, and the seconds within which a contender must continue after the change.
 OTHER_ADDRESS, WITHIN = "10.77.0.71", 30.0
 #: Seconds after which links are idle, and seconds in which bytes at rest are counted.
 SETTLES = 15.0
 AT_REST = 30.0
-#: What is compared with a hop, and with a stop; `fresh` ones connect for every request.
+#: Protocols that are compared with a hop, and with a stop; True: a new connection for every request.
 PEERS = {"raw TCP": "TCP", "gRPC": "gRPC", "Zenoh over TCP": "Zenoh", "QUIC": "QUIC", "UDP, retry": "UDP"}
 STOP_PEERS = {
     "TCP+TLS, new connection": ("TLS", True),
@@ -58,16 +58,16 @@ STOP_PEERS = {
 
 _HERE = Path(__file__).parent
 _PEERS, _DESK = str(_HERE / "radio_peers.py"), str(_HERE / "radio_desk.py")
-#: Seconds that a team has until it runs.
+#: Seconds for the start of a team.
 _PATIENCE = 120.0
 _COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]"
 
-#: Starts lanes, whose processes end with `Processes`, with the seeds of their radios.
+#: Starts a lane for each seed of a radio; the processes end with `Processes`.
 Starter = Callable[[Processes, Sequence[int]], Sequence[Lane]]
 
 
 def hops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """Two hops of a coordinator beside requests of the same size."""
+    """Two hops of a coordinator, compared with requests of the same size."""
     over_zenoh = partial(travellers, checkout, over_zenoh=True)
     starters: dict[str, Starter] = {"lfield": partial(travellers, checkout), "lfield over Zenoh": over_zenoh}
     starters |= {name: peers(checkout, called, SIZE) for name, called in PEERS.items()}
@@ -84,7 +84,7 @@ def hops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
 
 
 def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """A stop of teams of one and of five hosts, from the command and the page, beside small requests."""
+    """A stop of teams of one and of five hosts, by the command and the page, compared with small requests."""
     for hosts in map(int, chosen("HOSTS", ("1", "5"))):
         for way in chosen("WAYS", ("command", "watch open", "page")):
             case, shown = f"stop of {hosts}, {cell}", f"lfield, {way}"
@@ -115,9 +115,9 @@ def _stops(checkout: Checkout, samples: int, cell: str, hosts: int, way: str) ->
 
 
 def outages(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """How soon traffic continues after the path has returned, or a robot has another address.
+    """Seconds until traffic continues after an outage or a change of address.
 
-    Every lane has one of each in a round.
+    Every lane has each interruption once in a round.
     """
     rounds = max(1, samples // 100)
     starters: dict[str, Starter] = {"lfield": partial(travellers, checkout)}
@@ -144,7 +144,7 @@ def outages(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator
 
 
 def _interruptions(lanes: Sequence[Lane], tick: Tick) -> Iterator[tuple[str, list[float]]]:
-    """One round: what each is called, and the delay of every lane."""
+    """One round: the name of each interruption, and the delay of every lane."""
     for seconds in OUTAGES:
         tick(case := f"outage of {seconds:g} s")
         yield case, outages_of(lanes, FAR, seconds)
@@ -155,17 +155,17 @@ def _interruptions(lanes: Sequence[Lane], tick: Tick) -> Iterator[tuple[str, lis
 
 
 def rest(lanes: Sequence[Lane], seconds: float) -> None:
-    """Let time pass, and take what is printed."""
+    """Wait, and read the lanes' output meanwhile."""
     end = time.monotonic() + seconds
     watch(lanes, lambda: time.monotonic() >= end)
 
 
-#: The robot at the other end of a lane's path.
+#: The robots at both ends of a lane's path.
 NEAR, FAR = "h0", "h1"
 
 
 def idle(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """Bytes per second and link of a team of five, of `watch` for each host, and of the standing peers."""
+    """Bytes per second of a link in a team of five, of `watch` for each host, and of idle peers."""
     tick(f"at rest, {cell}")
     with Processes() as processes:
         (team,) = vehicles(checkout, processes, [1], 5)
@@ -185,7 +185,7 @@ def idle(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
 
 
 def _bytes_per_second(radio: Radio, name: str = "") -> float:
-    """Of all, or of one end."""
+    """Bytes per second of the whole radio, or to and from one end."""
     time.sleep(SETTLES)
     radio.reset()
     begun = time.monotonic()
@@ -196,7 +196,7 @@ def _bytes_per_second(radio: Radio, name: str = "") -> float:
 
 
 def _compared(case: str, starters: dict[str, Starter], samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """One contender after the other, each with lanes of its own."""
+    """The contenders in sequence, each with its own lanes."""
     shown = case
     for name, start in starters.items():
         tick(f"{case}, {name}")
@@ -211,7 +211,7 @@ def _compared(case: str, starters: dict[str, Starter], samples: int, tick: Tick,
 
 
 def _seeds(cell: str, samples: int, most: int) -> range:
-    """Of the lanes that are measured at a time: so few that a processor is not what is measured."""
+    """The seeds of the lanes that are measured at a time, few enough that the processor is no bottleneck."""
     trip = 2 * CELLS[cell].link.delay
     most = min(most, LANES if trip >= FAST else FAST_LANES if trip else 1)
     return range(1, 1 + max(1, min(most, samples // SAMPLES_OF_A_LANE)))
@@ -220,7 +220,7 @@ def _seeds(cell: str, samples: int, most: int) -> range:
 def travellers(
     checkout: Checkout, processes: Processes, seeds: Sequence[int], *, over_zenoh: bool = False
 ) -> list[Lane]:
-    """Teams of two hosts, and a coordinator that hops from the one to the other."""
+    """Start teams of two hosts with a coordinator that hops between them."""
     program = (_HERE / "radio_hops.L").read_text(encoding="utf-8")
     agents = f"//Post:near@{NEAR}", f"//Post:far@{FAR}", f"//Traveller:one@{NEAR}"
     prepared = Prepared(checkout, processes, program, agents)
@@ -229,14 +229,14 @@ def travellers(
 
 
 def peers(checkout: Checkout, name: str, size: int, pause: float = 0.0, *, fresh: bool = False) -> Starter:
-    """A server and a client of radio_peers.py on each radio."""
+    """Start a server and a client of radio_peers.py on each radio."""
 
     def start(processes: Processes, seeds: Sequence[int]) -> list[Lane]:
         keys = str(Keyring(processes.folder()).give("host") / "host")
         radios = [processes.keep(Radio(NEAR, FAR, seed=seed)) for seed in seeds]
 
         def children(robot: str, what: str, *words: str) -> list[Child]:
-            """Start all, then wait for a line of each: the first echo of a client is not measured."""
+            """Start the children, then wait for a line of each: a client's first echo is not measured."""
             environment, command = checkout.environment, (checkout.python, _PEERS, what, name)
             lines = [r[robot].line((*command, r[FAR].address, keys, *words)) for r in radios]
             started = [processes.start(*line, environment=environment) for line in lines]
@@ -252,7 +252,7 @@ def peers(checkout: Checkout, name: str, size: int, pause: float = 0.0, *, fresh
 
 
 def vehicles(checkout: Checkout, processes: Processes, seeds: Sequence[int], hosts: int) -> list[RadioTeam]:
-    """Teams of hosts with a copter each, which may be stopped."""
+    """Start teams of hosts with a copter each that can be stopped."""
     names = range(hosts)
     fcs = "".join(f"\n  v{n}: {{devices: {{fc: {{{_COPTER}, system: {n + 1}}}}}}}" for n in names)
     agents = [*(f"//Vehicle:v{n}@h{n}" for n in names), "//Nobody:one@h0"]
@@ -270,7 +270,7 @@ def vehicles(checkout: Checkout, processes: Processes, seeds: Sequence[int], hos
 def stopping(
     checkout: Checkout, processes: Processes, seeds: Sequence[int], hosts: int, way: str
 ) -> list[StopLane]:
-    """Teams, and a desk of each that stops it."""
+    """Start teams, each with a desk that stops it."""
     lanes = []
     for team in vehicles(checkout, processes, seeds, hosts):
         link = link_of_page(team) if way != "command" else ""
@@ -280,13 +280,13 @@ def stopping(
 
 
 def link_of_page(team: RadioTeam) -> str:
-    """Open `lfield watch`."""
+    """Start `lfield watch`; returns the link of its page."""
     line = until(team.watch(), "http")
     return next(word for word in line.split() if word.startswith("http"))
 
 
 def until(child: Child, words: str) -> str:
-    """The first line that has these words. Raises ChildError."""
+    """Wait for a line with these words. Raises ChildError without one."""
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         if words in (line := child.line(_PATIENCE)):

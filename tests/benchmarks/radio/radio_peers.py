@@ -1,10 +1,10 @@
-"""Protocols that lfield is compared with on a poor radio: echoes over TCP, TLS, gRPC, Zenoh, QUIC and UDP.
+"""Protocols for comparison with lfield on a poor radio: echoes over TCP, TLS, gRPC, Zenoh, QUIC and UDP.
 
     radio_peers.py serve NAME ADDRESS KEYS                        prints "ready"
     radio_peers.py ask NAME ADDRESS KEYS SIZE PAUSE [fresh]       prints "echo = SECONDS" for each echo
 
-A client asks again where an echo fails; `fresh` makes a connection for each echo and counts that. KEYS is a
-folder with those of a host, for whatever uses TLS. No library looks for others by multicast.
+A client repeats a failed echo; `fresh` measures a new connection for each echo. KEYS is a folder with the
+keys of a host, for protocols with TLS. Discovery by multicast is off in all libraries.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from typing import Any, Protocol
 from lfield.authority.key_material import AUTHORITY, certificate_name, key_name
 
 PORT = 9000
-#: Seconds that a client waits for a new connection, and between two attempts.
+#: Seconds to wait for a new connection, and between two attempts.
 PATIENCE, BETWEEN = 30.0, 0.1
 _LENGTH = struct.Struct("<I")
 
 
 class Client(Protocol):
-    """One connection, or what stands for it."""
+    """A connection or a connectionless equivalent."""
 
     def echo(self, data: bytes) -> bytes:
-        """The bytes as they came back. Raises OSError where they do not."""
+        """Send the bytes and return the echo. Raises OSError without an echo."""
 
     def rest(self, seconds: float) -> None:
-        """Let time pass."""
+        """Wait for `seconds`."""
 
     def close(self) -> None:
-        """End it."""
+        """Close the connection."""
 
 
 class TcpClient:
-    """A TCP connection without delay of small packets; in TLS with certificates of both ends if asked for."""
+    """A TCP connection without delay of small packets; optionally TLS with certificates of both ends."""
 
     def __init__(self, address: str, keys: Path, *, tls: bool = False) -> None:
         self._socket = socket.create_connection((address, PORT), PATIENCE)
@@ -54,17 +54,17 @@ class TcpClient:
         self.rest = time.sleep
 
     def echo(self, data: bytes) -> bytes:
-        """Send it with its length before it, and read the same."""
+        """Send the bytes with a length prefix, and read the echo."""
         self._socket.sendall(_LENGTH.pack(len(data)) + data)
         return read_message(self._socket)
 
     def close(self) -> None:
-        """Close it."""
+        """Close the connection."""
         self._socket.close()
 
 
 def read_message(connection: socket.socket) -> bytes:
-    """One message. Raises ConnectionError at the end of the connection."""
+    """Read one message. Raises ConnectionError at the end of the connection."""
     (left,) = _LENGTH.unpack(_read(connection, _LENGTH.size))
     return _read(connection, left)
 
@@ -80,7 +80,7 @@ def _read(connection: socket.socket, size: int) -> bytes:
 
 
 def context(keys: Path, side: int) -> ssl.SSLContext:
-    """TLS 1.3 with certificates on both sides, without names."""
+    """A context for TLS 1.3 with certificates on both sides, without check of names."""
     made = ssl.SSLContext(side)
     made.minimum_version = ssl.TLSVersion.TLSv1_3
     made.check_hostname = False
@@ -91,7 +91,7 @@ def context(keys: Path, side: int) -> ssl.SSLContext:
 
 
 def serve_tcp(address: str, keys: Path, *, tls: bool = False) -> None:
-    """A thread for each connection."""
+    """Serve echoes with a thread for each connection."""
     secured = context(keys, ssl.PROTOCOL_TLS_SERVER) if tls else None
 
     def serve(connection: socket.socket) -> None:
@@ -111,9 +111,9 @@ def serve_tcp(address: str, keys: Path, *, tls: bool = False) -> None:
 
 
 class UdpClient:
-    """Datagrams that are sent again after the time-out of RFC 6298, which doubles, one second at most.
+    """Datagrams with retransmission after the time-out of RFC 6298, which doubles up to one second.
 
-    Answers name the copy that they answer, so that each gives a round trip.
+    Each answer names its copy of the request, so that each gives a round trip.
     """
 
     LEAST, MOST = 0.02, 1.0
@@ -125,7 +125,7 @@ class UdpClient:
         self.rest = time.sleep
 
     def echo(self, data: bytes) -> bytes:
-        """Until an answer comes."""
+        """Send the bytes repeatedly until an answer arrives."""
         self._number += 1
         after = min(self.MOST, max(self.LEAST, self._smooth + 4 * self._varies)) if self._smooth else 0.5
         body = data[self._HEAD.size :]
@@ -158,7 +158,7 @@ class UdpClient:
 
 
 def serve_udp(address: str, keys: Path) -> None:
-    """Every datagram goes back."""
+    """Return every datagram."""
     server = socket.socket(type=socket.SOCK_DGRAM)
     server.bind((address, PORT))
     _ready()
@@ -177,7 +177,7 @@ class GrpcClient:
         self.rest, self.close = time.sleep, self._channel.close
 
     def echo(self, data: bytes) -> bytes:
-        """One call, which waits for a connection."""
+        """Make one call, which waits for a connection."""
         try:
             return bytes(self._call(data, wait_for_ready=True))
         except self._failed as error:
@@ -185,7 +185,7 @@ class GrpcClient:
 
 
 def serve_grpc(address: str, keys: Path) -> None:
-    """One thread, as there is one client."""
+    """Serve echoes with one thread for the one client."""
     import grpc
 
     handlers = {"echo": grpc.unary_unary_rpc_method_handler(lambda data, context: data)}
@@ -198,7 +198,7 @@ def serve_grpc(address: str, keys: Path) -> None:
 
 
 def _zenoh(role: str, address: str) -> Any:
-    """A session of two peers over TCP that look for nobody else."""
+    """A session of two peers over TCP without discovery."""
     import zenoh
 
     config = zenoh.Config()
@@ -211,22 +211,22 @@ def _zenoh(role: str, address: str) -> Any:
 
 
 class ZenohClient:
-    """A query of one queryable."""
+    """Queries of one queryable."""
 
     def __init__(self, address: str, keys: Path) -> None:
         self._session = _zenoh("connect", address)
         self.rest, self.close = time.sleep, self._session.close
 
     def echo(self, data: bytes) -> bytes:
-        """The answer to one query."""
+        """Send one query; returns its answer."""
         for reply in self._session.get("bench/echo", payload=data, timeout=60.0):
             if reply.ok is not None:
                 return bytes(reply.ok.payload)
-        raise OSError("nobody has answered the query")
+        raise OSError("the query has no answer")
 
 
 def serve_zenoh(address: str, keys: Path) -> None:
-    """A queryable."""
+    """Serve a queryable."""
     session = _zenoh("listen", address)
     echo = session.declare_queryable("bench/echo", lambda query: query.reply("bench/echo", query.payload))
     _ready()
@@ -235,7 +235,7 @@ def serve_zenoh(address: str, keys: Path) -> None:
 
 
 class QuicClient:
-    """A connection of aioquic, a stream for each echo."""
+    """A connection of aioquic with a stream for each echo."""
 
     def __init__(self, address: str, keys: Path) -> None:
         from aioquic.asyncio import connect
@@ -248,7 +248,7 @@ class QuicClient:
         self._protocol = self._runner.run(self._connecting.__aenter__())
 
     def echo(self, data: bytes) -> bytes:
-        """A stream there and back."""
+        """Send the bytes on a new stream and read the echo."""
 
         async def one() -> bytes:
             reader, writer = await self._protocol.create_stream()
@@ -264,18 +264,18 @@ class QuicClient:
             raise OSError(str(error)) from error
 
     def rest(self, seconds: float) -> None:
-        """Wait; the timers of the connection continue."""
+        """Wait while the timers of the connection run."""
         self._runner.run(asyncio.sleep(seconds))
 
     def close(self) -> None:
-        """Say so to the other end, and do not wait for what it says."""
+        """Close the connection without waiting for the other end."""
         self._protocol.close()
         self._runner.run(asyncio.sleep(0))
         self._runner.close()
 
 
 def serve_quic(address: str, keys: Path) -> None:
-    """Every stream is an echo."""
+    """Serve an echo on every stream."""
     from aioquic.asyncio import serve
     from aioquic.quic.configuration import QuicConfiguration
 
@@ -327,7 +327,7 @@ CLIENTS: dict[str, Callable[[str, Path], Client]] = {
 
 
 def ask(name: str, address: str, keys: Path, size: int, pause: float, fresh: bool) -> None:
-    """Echo for ever, and print how long each took."""
+    """Send echoes until killed, and print the seconds of each."""
     data = bytes(size)
     client: Client | None = None
     while True:

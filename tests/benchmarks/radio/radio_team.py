@@ -1,4 +1,4 @@
-"""A team of lfield hosts on an emulated radio, a process each in a namespace of its own, and a desk."""
+"""A team of lfield hosts on an emulated radio, each a process in its own namespace, and a desk."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from lfield.testing.keyring import Keyring
 
 DESK = "desk"
 PORT = 8181
-#: The port at which peers of a fabric connect.
+#: The port for peers of a Zenoh fabric.
 FABRIC_PORT = 7447
-#: Seconds that a host has to end.
+#: Seconds for the end of a host.
 PATIENCE = 10.0
 _CONFIG = Path("lfield") / "keys"
 
 
 class Prepared:
-    """A mission that is built and signed, and keys of its hosts and the desk: for teams on many radios."""
+    """A built and signed mission with the keys of its hosts and the desk, for teams on many radios."""
 
     def __init__(
         self, checkout: Checkout, processes: Processes, program: str, agents: Sequence[str], devices: str = ""
@@ -41,10 +41,10 @@ class Prepared:
 
 
 class RadioTeam:
-    """The hosts of a mission and the desk; on a perfect radio at first.
+    """The hosts of a mission and the desk, initially on a perfect radio.
 
-    A host that is not `kept` writes no journal: then nothing waits for a disk. With `over_zenoh` the hosts
-    are peers in a fabric without a router, so that their packets cross the radio once, as those of TCP.
+    Without `kept` the hosts write no journal and do not wait for a disk. With `over_zenoh` the hosts are
+    peers in a fabric without a router, so that their packets cross the radio once, as with TCP.
     """
 
     def __init__(self, prepared: Prepared, seed: int, *, kept: bool, over_zenoh: bool = False) -> None:
@@ -62,7 +62,7 @@ class RadioTeam:
         return [str(self._prepared.bundle), *maps]
 
     def _network(self, host: str) -> list[str]:
-        """The options of a host that say how it reaches the others."""
+        """The options of a host with the addresses of the other hosts."""
         if not self._over_zenoh:
             return self.mission[1:]
         hosts = self._prepared.hosts
@@ -76,15 +76,15 @@ class RadioTeam:
         return ["--inventory", str(inventory)]
 
     def desk(self, *words: str) -> Child:
-        """Start a Python command at the desk, which has the keys of a person who may do everything."""
+        """Start a Python command at the desk, which has keys with all rights."""
         return self._start(DESK, *words)
 
     def watch(self) -> Child:
-        """Start `lfield watch` at the desk; its first line with http has the link of the page."""
+        """Start `lfield watch` at the desk; the first output line with http has the link of the page."""
         return self.desk("-m", "lfield", "watch", *self.mission)
 
     def _end(self) -> None:
-        """End the hosts in order: the guard of one that is killed stays with its device."""
+        """End the hosts by SIGTERM: the guard of a killed host continues to run."""
         for child in self.children.values():
             child.ask_to_end()
         for child in self.children.values():

@@ -1,7 +1,7 @@
-"""The part of the figure of poor radio that takes no real time: stops as datagrams, in virtual time.
+"""The part of the figure of poor radio in virtual time: stops as datagrams.
 
-It has the pure desk and the pure hosts of lfield on the model of the emulated radio, as
-tests/host/orders/test_delay_of_stops.py has them: without processes, processor time and signatures.
+The cores of desk and hosts run on the model of the emulated radio, as in
+tests/host/orders/test_delay_of_stops.py: without processes, processor time and signatures.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from harness.figure import Row
 from harness.samples import Tick, chosen
 from radio_stops import AT_REST, IDLE, stops, unsigned
 
-#: Other traffic of the radio: bytes/s of each host for its links, and whether the desk receives the telemetry
-#: of every vehicle.
+#: Other traffic of the radio: bytes/s of the links of each host; True if the desk receives the telemetry of
+#: every vehicle.
 LOADS = {
     "links at rest": (IDLE, False),
     "links with leases": (AT_REST, False),
     "links with leases, watch open": (AT_REST, True),
 }
-#: Stops of a world, before the next one has another seed.
+#: Stops of a simulated team before the next team has another seed.
 AGAIN = 10
 
 
 def virtual(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """A stop of teams of one and of five hosts, from a desk that knows them, until all have confirmed."""
+    """A stop of teams of one and of five hosts, from a desk with addresses, until all have confirmed."""
     for hosts in map(int, chosen("HOSTS", ("1", "5"))):
         case = f"stop of {hosts}, {cell}, virtual time"
         for load, (links, watched) in LOADS.items():
             tick(f"{case}, {load}")
             count = max(samples, AGAIN)
             with unsigned():
-                # One host has no links.
+                # A single host has no links.
                 noise = links if hosts > 1 else 0.0
                 found, size = stops(cell, hosts, count, at_rest=noise, watched=watched, again=AGAIN)
             yield Row(case, f"lfield, {load}", samples=found)

@@ -1,7 +1,7 @@
-"""A remote portal call over a router of Zenoh, beside the same over TCP, both on loopback and in turn.
+"""A remote portal call over a Zenoh router, compared with TCP, both on loopback and in turns.
 
-The router is that of the wheel, as a process. The hosts and the bytes between them are the same: TLS runs
-from host to host.
+The router is the one of the Python package, as a process. The hosts and their messages are the same: TLS
+runs from host to host.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from harness.processes import Processes, free_port
 from harness.samples import Contender
 from hops.hop import CALLS, SIZES, WARM_UP, hops
 
-#: The program of a router, of the tests of the transport, and that of the hops.
+#: The router program of the transport's tests, and the L program of the hops.
 ROUTER = Path(__file__).parents[2] / "net" / "zenoh" / "router_process.py"
 PROGRAM = Path(__file__).parents[1] / "hops" / "hop.L"
 
 
 def hops_over_zenoh(checkout: Checkout, processes: Processes) -> Contender:
-    """The coordinator of hop.L, on two hosts that reach each other by their names in a fabric."""
+    """Run the coordinator of hop.L on two hosts with addresses in a Zenoh fabric."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = processes.start(
         sys.executable, str(ROUTER), endpoint, environment=checkout.environment, folder=checkout.root
@@ -49,7 +49,7 @@ FIGURE = Figure(
     ratios=(("lfield: a hop over Zenoh", "lfield: a hop", ""),),
     notes=(
         f"rounds of {CALLS} calls; a portal call is one hop; TLS 1.3 from host to host in both",
-        "the router is a process of its own, and stopped with neither",
+        "the router is a separate process that is not stopped between rounds",
     ),
     between=("lfield: a hop",),
 )

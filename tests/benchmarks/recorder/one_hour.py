@@ -1,7 +1,7 @@
-"""Checkpoints, replays and the debugger, for the figure `record`: prints a line of JSON, the samples by case.
+"""Checkpoints, replays and the debugger, for the figure `record`: prints the samples by case as JSON.
 
-Checkpoints are those of teams in virtual time. The recording of one hour is that of a coordinator that hops
-between two hosts five times a second.
+The checkpoints are of teams in virtual time. In the recording of one hour a coordinator hops between two
+hosts five times a second.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from lfield.replay.team_check import check_team
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 
 HERE = Path(__file__).parent
-#: Seconds of the longest recording, and the size of its files.
+#: Seconds of the longest recording, and the size limit of its files.
 HOUR, LIMIT = 3600.0, 1 << 30
-#: Rounds of what takes less than a second.
+#: Rounds of measurements that take less than a second.
 ROUNDS = 10
 
 
@@ -40,7 +40,7 @@ def timed(work: Callable[[], object]) -> float:
 
 
 def stored(snapshots: CoreSnapshots) -> bytes:
-    """A checkpoint as it is stored."""
+    """A checkpoint in its stored form."""
     return zlib.compress(snapshots.capture(), 1)
 
 
@@ -64,7 +64,7 @@ def checkpoints(example: Path, seconds: float) -> dict[str, list[float]]:
 
 
 def recorded_hour(folder: Path, seconds: float) -> TeamRecording:
-    """An hour of two hosts."""
+    """Record two hosts for `seconds`."""
     (folder / "mission.L").write_text((HERE / "walk.L").read_text(encoding="utf-8"), encoding="utf-8")
     agents = "//Post:near@a\n//Post:far@b\n//Walker:walker@a?0.2&1000\n"
     (folder / "mission.dL").write_text(agents, encoding="utf-8")
@@ -79,7 +79,7 @@ def recorded_hour(folder: Path, seconds: float) -> TeamRecording:
 
 
 def steps_back(debugger: Debugger) -> list[float]:
-    """Seconds of steps back from the end; the first one is the first sample."""
+    """Seconds of steps back from the end, in order."""
     debugger.go_to(debugger.team.end)
     found = []
     for _ in range(ROUNDS):
@@ -87,7 +87,7 @@ def steps_back(debugger: Debugger) -> list[float]:
     return found
 
 
-def found_in(seconds: float) -> dict[str, list[float]]:
+def samples_by_case(seconds: float) -> dict[str, list[float]]:
     """All samples by case."""
     examples = HERE.parents[2] / "examples"
     small = checkpoints(examples / "01-first-flight/mission.dL", 10.0)
@@ -116,4 +116,4 @@ def found_in(seconds: float) -> dict[str, list[float]]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(found_in(float(sys.argv[1]) if len(sys.argv) > 1 else HOUR)))
+    print(json.dumps(samples_by_case(float(sys.argv[1]) if len(sys.argv) > 1 else HOUR)))

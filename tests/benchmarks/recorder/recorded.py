@@ -1,4 +1,4 @@
-"""The cost of the flight recorder, with and without it in turns, and the speed of using its recordings."""
+"""The cost of the flight recorder, measured with and without it in turns, and the speed of its recordings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CALLS, WARM_UP, SIZE = 300, 20, 64
 _HERE = Path(__file__).parent
 _HOP = _HERE.with_name("hops") / "hop.L"
 WITHOUT, WITH = "without a recorder", "with a recorder"
-#: Seconds in which a recording of an hour is made and used.
+#: Seconds for making and using a recording of an hour.
 _PATIENCE = 900.0
 
 

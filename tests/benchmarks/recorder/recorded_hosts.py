@@ -1,4 +1,4 @@
-"""The cost of a recording for real hosts: processor time, including their guards, and bytes of files."""
+"""The cost of a recording for real hosts: processor time including their guards, and bytes of files."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from harness.checkout import Checkout
 from harness.processes import Child, Processes
 from machine.small import processor_seconds
 
-#: Seconds until hosts are settled, and for which each team is measured.
+#: Seconds of settling after the start, and seconds of measurement of each team.
 SETTLED, SECONDS = 1.0, 10.0
 _HERE = Path(__file__).parent
 EXAMPLES = _HERE.parents[2] / "examples"
 _PARKED = "resource Part { init(string[] arg) { while (true) yield(); } }\n"
 _HOPS = re.compile(r"(\d+) hops$")
-#: The command lines of what counts for a host.
+#: Parts of the command lines of the processes of a host.
 _OURS = (b"--host=", b"lfield.guard.process")
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Of one host: part of a processor in percent, bytes a minute; and the hops of its team in a second."""
+    """The cost of one host: percent of a processor and bytes a minute; and the hops of its team a second."""
 
     processor: float
     bytes_a_minute: float
@@ -35,7 +35,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class Team:
-    """A deployment and options of `lfield up`; `places` are folders of drivers that are not installed."""
+    """A deployment and options of `lfield up`; `places` are folders of uninstalled drivers."""
 
     deployment: Path
     options: Sequence[str] = ()
@@ -43,7 +43,7 @@ class Team:
 
 
 def teams(processes: Processes) -> Mapping[str, Team]:
-    """The teams that are measured."""
+    """The measured teams by case."""
     rest, walk, site = processes.folder(), processes.folder(), processes.folder()
     (rest / "mission.L").write_text(_PARKED, encoding="utf-8")
     (rest / "mission.dL").write_text("//Part:one@here\n//Part:two@there\n", encoding="utf-8")
@@ -70,7 +70,7 @@ def _drivers_of_examples(site: Path) -> Sequence[str]:
 
 
 def cost_of(checkout: Checkout, team: Team, records: Path | None) -> Cost:
-    """Run a team for a while, recorded into a folder or not."""
+    """Measure a team with or without recording into a folder."""
     with Processes() as processes:
         where = ("--no-record",) if records is None else ("--record", str(records))
         words = ("--deploy", str(team.deployment), "--all", *checkout.keeping_nothing, *team.options, *where)

@@ -1,6 +1,6 @@
-"""The cost of events, for the figure `events`: prints lines of JSON, each a case with its unit and samples.
+"""The cost of events, for the figure `events`: prints the unit and samples of each case as JSON.
 
-Everything is measured in seconds of this processor, or counted; nothing is waited for.
+All costs are processor seconds or counts.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from lfield.wire.events import DeviceTelemetry, Event, StateEvent
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import Subscribe
 
-#: Units of samples, as the harness has them.
+#: Units of samples, as in the harness.
 SECONDS, PERCENT, COUNT = "s", "%", "messages"
-#: Vehicles, and how often a second each is told of.
+#: Number of vehicles, and telemetry rate of each (Hz).
 VEHICLES, RATE = 50, 5.0
 _PROGRAM = "resource Post { Mavlink fc; init(string[] arg) { } }\n"
-#: What happens when a coordinator visits a portal that commands a device, and goes on.
+#: The events of a coordinator that visits a portal, which commands a device, and departs.
 VISIT: Sequence[StateEvent] = (
     events.MigrationArrived("Patrol:one", 3, 120, "alpha", 1424),
     events.PortalCallStarted(240, "Patrol:one", "copter7", "surveyField"),
@@ -45,7 +45,7 @@ STATUS = Status("alpha", "a:1", 0.5, b"", b"", [], [], [], [], [])
 
 
 def telemetry(step: int) -> TelemetrySample:
-    """How the vehicles are at a step, as a driver of copters tells it."""
+    """The telemetry of all vehicles at a step, in the form of a copter driver."""
     return {
         f"device copter{n}.fc": (
             step,
@@ -70,7 +70,7 @@ def telemetry(step: int) -> TelemetrySample:
 
 
 def per_call(work: Callable[[], object], count: int, rounds: int = 20) -> list[float]:
-    """Seconds of this processor for each call, in rounds."""
+    """Processor seconds of one call, for each round."""
     taken = []
     for _ in range(rounds):
         start = time.process_time()
@@ -80,13 +80,13 @@ def per_call(work: Callable[[], object], count: int, rounds: int = 20) -> list[f
     return taken
 
 
-def told(cases: dict[str, tuple[str, list[float]]]) -> None:
-    """A state with its causes, what is sent of it, and its bytes."""
-    teller = EventRecorder(SystemClock())
+def recorded(cases: dict[str, tuple[str, list[float]]]) -> None:
+    """Cost of recording an event, of sending it to one observer, and its bytes."""
+    recorder = EventRecorder(SystemClock())
     visit = iter(VISIT * 10**6)
-    cases["an event told, nobody watches"] = (
+    cases["an event recorded, no observer"] = (
         SECONDS,
-        per_call(lambda: teller.emit_for_agent("Patrol:one", next(visit)), 4000),
+        per_call(lambda: recorder.emit_for_agent("Patrol:one", next(visit)), 4000),
     )
     stream = EventLog()
     for _ in range(64):
@@ -98,7 +98,7 @@ def told(cases: dict[str, tuple[str, list[float]]]) -> None:
         assert made is not None
         encode(made)
 
-    cases["an event sent to one watcher"] = SECONDS, [s / 512 for s in per_call(batch, 20)]
+    cases["an event sent to one observer"] = SECONDS, [s / 512 for s in per_call(batch, 20)]
     sizes = [float(size_of(Event(123_456, 1.7e9, 5000.25, 123_400, what))) for what in VISIT]
     cases["bytes of a state"] = COUNT, sizes
     measured = [float(size_of(Event(123_456, 1.7e9, 5000.25, 0, what))) for _, what in telemetry(1).values()]
@@ -106,7 +106,7 @@ def told(cases: dict[str, tuple[str, list[float]]]) -> None:
 
 
 def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
-    """A host with 50 copters, looked at and told to one watcher at 5 Hz: part of a processor."""
+    """Share of a processor for a host with 50 copters that sends telemetry to one observer at 5 Hz."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "mission.L").write_text(_PROGRAM)
         agents = "".join(f"//Post:copter{n}@alpha\n" for n in range(VEHICLES))
@@ -114,51 +114,53 @@ def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
         fleet = Fleet(load_mission(Path(folder) / "mission.dL", simulate=True), 1)
     fleet.run(10.0)
     host = fleet.lives["alpha"].host
-    watcher, step = EventSubscription(EventLog(), 1, Subscribe(1, 0, RATE), 0.0), 0
+    observer, step = EventSubscription(EventLog(), 1, Subscribe(1, 0, RATE), 0.0), 0
 
     def turn() -> None:
         nonlocal step
-        # A little later than asked, as timers are.
-        up = step * (1 / RATE + 1e-6)
+        # Slightly late, as timers are.
+        uptime = step * (1 / RATE + 1e-6)
         now = snapshot(host.core, host.guards, host.peers.monitor.latest, host.clock.monotonic())
-        watcher.on_sample({key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, up)
-        made = watcher.next_batch(1.7e9, up + MIN_INTERVAL, lambda: STATUS)
+        observer.on_sample(
+            {key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, uptime
+        )
+        made = observer.next_batch(1.7e9, uptime + MIN_INTERVAL, lambda: STATUS)
         assert made is not None
         assert len(made.events) >= VEHICLES
         encode(made)
-        watcher.on_ack(step + 1, up)
+        observer.on_ack(step + 1, uptime)
         step += 1
 
-    name = f"{VEHICLES} vehicles at {RATE:g} Hz, one watcher"
+    name = f"{VEHICLES} vehicles at {RATE:g} Hz, one observer"
     cases[name] = PERCENT, [100 * seconds * RATE for seconds in per_call(turn, 50)]
 
 
 def lost(cases: dict[str, tuple[str, list[float]]]) -> None:
-    """Ten minutes of a watcher that reads a batch every second: by kind what it never hears of."""
+    """Lost events, by kind, of an observer that reads one batch a second for ten minutes."""
     clock, stream = ManualClock(), EventLog()
-    watcher = EventSubscription(stream, 1, Subscribe(1, 0, RATE), 0.0)
+    observer = EventSubscription(stream, 1, Subscribe(1, 0, RATE), 0.0)
     unread, count, step, missing = list[int](), 0, 0, Counter[str]()
     for tick in range(600 * 20):
-        up = tick * MIN_INTERVAL
+        uptime = tick * MIN_INTERVAL
         if tick % 4 == 0:
             step += 1
-            watcher.on_sample(telemetry(step), clock.time(), up)
+            observer.on_sample(telemetry(step), clock.time(), uptime)
         if tick % 10 == 0:
             for what in VISIT:
-                stream.append(what, clock.time(), up)
+                stream.append(what, clock.time(), uptime)
         if tick % 20 == 0 and unread:
-            watcher.on_ack(unread.pop(0), up)
-        if made := watcher.next_batch(clock.time(), up, lambda: STATUS):
+            observer.on_ack(unread.pop(0), uptime)
+        if made := observer.next_batch(clock.time(), uptime, lambda: STATUS):
             unread.append(made.batch)
             missing.update(made.lost)
             count += sum(event.kind not in events.TELEMETRY for event in made.events)
     cases["states lost, one batch read a second"] = COUNT, [float(missing["state"])]
     cases["telemetry lost, one batch read a second"] = COUNT, [float(missing["measured"])]
-    cases["states told to it"] = COUNT, [float(count)]
+    cases["states sent to it"] = COUNT, [float(count)]
 
 
 if __name__ == "__main__":
     found: dict[str, tuple[str, list[float]]] = {}
-    for measure in (told, watched, lost):
+    for measure in (recorded, watched, lost):
         measure(found)
     print(json.dumps(found))

@@ -16,7 +16,7 @@ from harness.samples import Contender, Tick, flat, in_turns, pair_ratios
 CALLS, WARM_UP, SIZE = 300, 20, 64
 _HERE = Path(__file__).parent
 HOPS = _HERE.with_name("hops")
-NOBODY, WATCHED = "nobody watches", "both hosts are watched"
+UNWATCHED, WATCHED = "no observer", "both hosts are observed"
 
 
 def _mission(processes: Processes, name: str) -> Mission:
@@ -38,9 +38,9 @@ def _team(checkout: Checkout, processes: Processes, name: str, *, watched: bool)
     if not watched:
         return Paced(children)
     places = [f"{host}={address}" for host, address in mission.addresses.items()]
-    eye = checkout.run(processes, str(_HERE / "watching.py"), *places)
-    assert eye.line() == "watching"
-    return Paced([*children, eye])
+    observer = checkout.run(processes, str(_HERE / "watching.py"), *places)
+    assert observer.line() == "watching"
+    return Paced([*children, observer])
 
 
 def _rows(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
@@ -48,35 +48,33 @@ def _rows(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
         costs = checkout.run(processes, str(_HERE / "event_costs.py")).line(120.0)
         for case, (unit, samples) in json.loads(costs).items():
             yield Row(case, "", unit, samples)
-    for name, told in (("hop", "a hop"), ("local", "a local portal call")):
-        yield from _side_by_side(checkout, rounds, tick, name, told)
+    for name, measured in (("hop", "a hop"), ("local", "a local portal call")):
+        yield from _side_by_side(checkout, rounds, tick, name, measured)
 
 
-def _side_by_side(checkout: Checkout, rounds: int, tick: Tick, name: str, told: str) -> Iterator[Row]:
+def _side_by_side(checkout: Checkout, rounds: int, tick: Tick, name: str, measured: str) -> Iterator[Row]:
     with Processes() as processes:
 
         def opener(watched: bool) -> Contender:
             return _team(checkout, processes, name, watched=watched)
 
         samples, errors = in_turns(
-            {NOBODY: lambda: opener(False), WATCHED: lambda: opener(True)}, rounds, tick
+            {UNWATCHED: lambda: opener(False), WATCHED: lambda: opener(True)}, rounds, tick
         )
-    for case in samples.get(NOBODY, {}):
-        shown = f"{told}: {case}"
-        for who, of_case in samples.items():
-            yield Row(shown, who, samples=flat(of_case[case]))
+    for case in samples.get(UNWATCHED, {}):
+        shown = f"{measured}: {case}"
+        for contender, of_case in samples.items():
+            yield Row(shown, contender, samples=flat(of_case[case]))
             shown = ""
-        yield Row("", "ratio", TIMES, pair_ratios(samples[WATCHED][case], samples[NOBODY][case]))
-    yield from (Row(told, who, error=error) for who, error in errors.items())
+        yield Row("", "ratio", TIMES, pair_ratios(samples[WATCHED][case], samples[UNWATCHED][case]))
+    yield from (Row(measured, contender, error=error) for contender, error in errors.items())
 
 
 FIGURE = Figure(
-    "Events: what it costs to tell them, and to be watched",
+    "Events: the cost of recording them, and of an observer",
     {},
     rounds=8,
     own_rows=_rows,
-    one_size="an event is of one size",
-    notes=(
-        f"rounds of {CALLS} hops, two hosts as processes; the watcher asks for telemetry 5 times a second",
-    ),
+    one_size="events have one size",
+    notes=(f"rounds of {CALLS} hops, two hosts as processes; the observer receives telemetry at 5 Hz",),
 )

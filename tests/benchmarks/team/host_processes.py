@@ -1,7 +1,7 @@
-"""Real host processes on one computer: time until all are linked, CPU and memory of each, and `ps`.
+"""Real host processes on one computer: time until all are linked, CPU and memory of each, and `lfield ps`.
 
-Each team has one resource without devices on each host. The hosts run without journals and recordings, all on
-loopback, and are started by one `lfield up --all`.
+Each host has one resource without devices. The hosts run on loopback without journals and recordings, and
+are started by one `lfield up --all`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from machine.small import processor_seconds
 
 from lfield.replication.membership.overlay import Overlay
 
-#: Numbers of hosts, up to what 2 cores and 23 GB hold.
+#: Numbers of hosts, limited by 2 cores and 23 GB.
 TEAMS = 10, 20, 50, 100
-#: Seconds in which all hosts of a team have to be linked, and for which they are measured at rest.
+#: Seconds within which all hosts of a team must be linked, and seconds of measurement at rest.
 PATIENCE, IDLE = 300.0, 15.0
 #: The end of the log line about a new link.
 ESTABLISHED = " established"
@@ -34,7 +34,7 @@ _PROGRAM = "resource Post { init(string[] arg) { } portal stay() { } }\n"
 
 
 def team(hosts: int) -> Opener:
-    """A team of so many host processes."""
+    """Measure a team of `hosts` processes."""
 
     def opener(checkout: Checkout, _: Processes) -> Contender:
         return lambda: measure(checkout, hosts)
@@ -69,7 +69,7 @@ def measure(checkout: Checkout, hosts: int) -> Round:
 
 
 def write_mission(folder: Path, hosts: int) -> Path:
-    """A team with one resource on each host."""
+    """Write a team with one resource on each host; returns its deployment file."""
     (folder / "posts.L").write_text(_PROGRAM)
     mission = folder / "posts.dL"
     mission.write_text("".join(f"//Post:p{n}@h{n}\n" for n in range(hosts)))
@@ -84,7 +84,7 @@ def _maps(hosts: int) -> list[str]:
 
 
 def _await_links(up: Child, hosts: int) -> float:
-    """Seconds until each host has logged a link with each of its neighbours. Raises ChildError."""
+    """Seconds until each host has logged a link with each neighbour. Raises ChildError after PATIENCE."""
     names = [f"h{n}" for n in range(hosts)]
     expected = sum(len(Overlay(names, here).neighbours) for here in range(hosts))
     while expected:
@@ -102,7 +102,7 @@ def _children(pid: int) -> list[Path]:
 
 
 def _memory(folder: Path) -> tuple[float, float]:
-    """Resident bytes, and those with shared pages divided by their users."""
+    """Resident bytes (RSS), and bytes with shared pages divided (PSS)."""
     lines = (folder / "smaps_rollup").read_text(encoding="ascii").splitlines()
     sizes = {name: rest for name, _, rest in (line.partition(":") for line in lines)}
     rss, pss = (float(sizes[name].split()[0]) * 1024 for name in ("Rss", "Pss"))

@@ -1,10 +1,10 @@
-"""A team in which nothing happens, on simulated computers, for the figure `traffic`.
+"""An idle team on simulated computers, for the figure `traffic`.
 
     idle_team.py HOSTS SECONDS [fenced]
 
-prints what a host sends each second (messages, bytes), and the seconds of a processor that starting the team
-took, and then each second of virtual time. With `fenced` there is a coordinator that waits, and that a
-majority of the hosts, of nine of them where there are more, may recover.
+prints messages and bytes of a host each second, the processor seconds of the team's start, and the processor
+seconds of each second of virtual time. With `fenced` the team has a waiting coordinator that a majority of
+the hosts, at most nine, can recover.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lfield.net import framed_link
 from lfield.simulate.host_fleet import Fleet
 from lfield.wire.messages import Message
 
-#: Seconds of virtual time in which a team comes up.
+#: Seconds of virtual time for the start of a team.
 SETTLE = 10.0
 _PROGRAM = "resource Post { init(string[] arg) { } portal stay() { } }\n"
 _MEMBERS = [f"host{n}" for n in range(MAX_MEMBERS)]
@@ -37,7 +37,7 @@ _FENCED = """coordinator Waits {
 
 
 def mission(hosts: int, *, fenced: bool = False) -> Mission:
-    """A team of so many, with a resource on each; `fenced`: with a coordinator under leases."""
+    """A team with a resource on each host; `fenced` adds a coordinator under leases."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "idle.L").write_text(_PROGRAM + _FENCED * fenced)

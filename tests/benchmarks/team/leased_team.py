@@ -2,8 +2,8 @@
 
     leased_team.py volatile|kept|leased HOSTS SECONDS
 
-prints what a hop costs (messages, commits), and what a host sends each second while the coordinator rests
-(messages, bytes). `leased`: it is one that other hosts may go on with.
+prints messages and commits of a hop, then messages and bytes of a host each second while the coordinator
+rests. With `leased` a quorum of hosts can recover the coordinator.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from lfield.wire.framing import Buffer
 from lfield.wire.messages import Message
 
 HOPS = 400
-#: Those that give leases, where the team has more than nine hosts.
+#: The most hosts that give leases.
 MEMBERS = 9
 #: Seconds of virtual time from the last hop until a team is at rest.
 SETTLE = 15.0
-#: What a coordinator costs on its way. All else is sent whether it moves or not.
+#: The messages of a hop. All others are also sent at rest.
 OF_HOPS = ("Transfer", "TransferAccepted", "TransferRefused", "TransferQuery")
 _PROGRAM = """
 resource Post { init(string[] arg) { } portal visit() { } portal say(string what) { write(what + "\\n"); } }
@@ -65,32 +65,32 @@ class Counted:
         )
 
     def begin(self) -> None:
-        """Count from here."""
+        """Reset the counts."""
         self.messages.clear()
         self.sent = self.commits = 0
 
     def encode(self, message: Message) -> bytes:
-        """A message is sent."""
+        """Count a sent message."""
         data = self._encode(message)
         self.messages[type(message).__name__] += 1
         self.sent += len(data)
         return data
 
     def transfer(self, header: Transfer, block: Buffer) -> bytes:
-        """A coordinator is sent."""
+        """Count a sent coordinator."""
         head = self._transfer(header, block)
         self.messages["Transfer"] += 1
         self.sent += len(head) + len(block)
         return head
 
     def write(self, disk: JournalDisk, changes: Sequence[Change], now: float) -> None:
-        """Something is put on a disk."""
+        """Count a commit."""
         self.commits += 1
         self._write(disk, changes, now)
 
 
 def mission(hosts: int, leased: bool) -> Mission:
-    """A team of so many, with a resource on each."""
+    """A team with a resource on each host and a coordinator."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         text = _PROGRAM.replace("HOPS", str(HOPS))
@@ -103,7 +103,7 @@ def mission(hosts: int, leased: bool) -> Mission:
 
 
 def run_until(fleet: Fleet, word: str) -> None:
-    """Until the mission says so."""
+    """Run until the mission prints `word`."""
     while not any(text.strip() == word for _, _, text in fleet.log):
         fleet.run(0.01)
 

@@ -1,4 +1,4 @@
-"""The cost of a coordinator that other hosts may continue: hopping, and at rest. Counted, not timed."""
+"""The cost of a coordinator that a quorum can recover, hopping and at rest: counts, not times."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender
 
-#: How many hosts, and for how many seconds of virtual time they are measured.
+#: Seconds of virtual time by number of hosts.
 TEAMS = {3: 60.0, 9: 30.0, 30: 30.0}
-#: Seconds in which the largest is measured on a slow computer.
+#: Seconds for the largest team on a slow computer.
 PATIENCE = 300.0
-KINDS = {"volatile": "keeps nothing", "kept": "kept on disk", "leased": "kept, under leases"}
+KINDS = {"volatile": "without journal", "kept": "with journal", "leased": "with journal and leases"}
 OF_A_HOP = ("messages of a hop", "commits of a hop")
 AT_REST = ("messages of a host each second", "bytes of a host each second")
 
@@ -23,7 +23,7 @@ _TEAM = str(Path(__file__).with_name("leased_team.py"))
 
 
 def team(kind: str) -> Opener:
-    """Teams of all sizes with a coordinator of this kind; the smallest is the one whose hops are counted."""
+    """Measure teams of all sizes with a coordinator of this kind; hops are counted in the smallest team."""
 
     def opener(checkout: Checkout, _: Processes) -> Contender:
         def measure() -> Round:
@@ -52,13 +52,13 @@ UNITS |= {
 }
 
 FIGURE = Figure(
-    "What a coordinator costs, on its way and at rest",
-    {f"lfield: {told}": team(kind) for kind, told in KINDS.items()},
+    "The cost of a coordinator, of a hop and at rest",
+    {f"lfield: {name}": team(kind) for kind, name in KINDS.items()},
     rounds=1,
     units=UNITS,
     sizes={f"{hosts} hosts": hosts for hosts in TEAMS},
     notes=(
         "means of all hosts, on simulated computers without devices; leases of 2 s, of all hosts or of nine",
-        "nobody confirms an arrival where it has left again in the same moment, as here if nothing is kept",
+        "a host without a journal does not confirm an arrival if the coordinator departs in the same turn",
     ),
 )

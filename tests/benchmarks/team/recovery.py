@@ -1,8 +1,8 @@
-"""How long a coordinator stands still whose host is killed with SIGKILL: real processes on loopback.
+"""The pause of a coordinator whose host is killed with SIGKILL: real processes on loopback.
 
-Under `self` that host is started again: from the start of the new process until the program goes on. Under
-`quorum` it never is: from the kill until the program goes on on another host. No devices: what opening them
-takes is theirs. Three hosts, of which one has no agents.
+Under `self` the host is restarted: the time from the start of the new process until the program continues.
+Under `quorum` the host is not restarted: the time from the kill until the program continues on another host.
+Three hosts without devices, one of them without agents.
 """
 
 from __future__ import annotations
@@ -20,48 +20,48 @@ from harness.paced import Round
 from harness.processes import Child, Processes
 from harness.samples import Contender
 
-#: Seconds in which nobody may be heard to have it, and the most that leases may take behind that.
+#: Seconds without a heartbeat until the recovery, and the most seconds for the leases after them.
 INTERVAL, LEASES = 3.0, 3.0
 AGENTS = ("//Post:far@b", "//@c", "//Traveller:traveller@a")
-GOES_ON = "traveller: goes on"
+CONTINUES = "traveller: continues"
 SELF, QUORUM = "self, from the start of its process", "quorum, from the kill"
 
 _PROGRAM = Path(__file__).with_name("recovery.L")
 
 
 def until(child: Child, line: str) -> float:
-    """When it says so."""
+    """Wait for a line; returns the time."""
     while child.line() != line:
         pass
     return time.perf_counter()
 
 
 def kill(child: Child) -> float:
-    """SIGKILL; returns when."""
+    """Send SIGKILL; returns the time."""
     os.kill(child.pid, signal.SIGKILL)
     return time.perf_counter()
 
 
 def by_its_host(checkout: Checkout, processes: Processes) -> float:
-    """Seconds until it goes on where it was."""
+    """Seconds until the program continues on the restarted host."""
     mission, hosts = _up(checkout, processes, "")
     kill(hosts["b"])
     hosts["b"].end()
     again = mission.host(checkout, processes, "b", merged=True)
-    return until(again, GOES_ON) - again.started
+    return until(again, CONTINUES) - again.started
 
 
 def by_a_majority(checkout: Checkout, processes: Processes) -> float:
-    """Seconds until it goes on elsewhere."""
+    """Seconds until the program continues on another host."""
     _, hosts = _up(checkout, processes, f"heartbeatInterval({INTERVAL});")
-    # The others have had a heartbeat that names it.
+    # The other hosts have received a heartbeat of the coordinator.
     time.sleep(1.0)
     killed = kill(hosts["b"])
-    return until(hosts["a"], GOES_ON) - killed
+    return until(hosts["a"], CONTINUES) - killed
 
 
 def _up(checkout: Checkout, processes: Processes, interval: str) -> tuple[Mission, dict[str, Child]]:
-    """The mission, and its hosts when the coordinator is where it stays."""
+    """Start the mission; returns it and its hosts once the coordinator has arrived on host b."""
     program = _PROGRAM.read_text(encoding="utf-8").replace("INTERVAL", interval)
     mission = Mission(processes.folder(), program, AGENTS, kept=True)
     hosts = {host: mission.host(checkout, processes, host, merged=True) for host in mission.addresses}
@@ -80,16 +80,16 @@ def _measured(
 
 
 FIGURE = Figure(
-    "From the death of a coordinator's host until it goes on",
+    "From the failure of a coordinator's host until the program continues",
     {
         "lfield: self": partial(_measured, SELF, by_its_host),
         "lfield: quorum": partial(_measured, QUORUM, by_a_majority),
     },
     rounds=8,
-    one_size="one team, whose times are given",
+    one_size="one team with fixed intervals",
     targets={QUORUM: f"{INTERVAL + LEASES:g} s"},
     notes=(
-        "under self nearly all of it is the start of Python",
-        f"under quorum {INTERVAL:g} s of silence, up to 0.75 s to ask, 2.06 s until no lease of 2 s is left",
+        "self: nearly all of the time is the start of Python",
+        f"quorum: {INTERVAL:g} s of silence, 0.75 s at most for the query, 2.06 s until leases of 2 s end",
     ),
 )

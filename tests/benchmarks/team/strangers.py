@@ -1,6 +1,6 @@
-"""The cost of 2,000 simultaneous connections of strangers for a host: memory, and the delay of a peer.
+"""The memory cost of 2,000 simultaneous unauthenticated connections for a host.
 
-Each sends only the first message of a TLS handshake, or half of that message, or other bytes.
+Each connection sends only the first message of a TLS handshake, half of that message, or other bytes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from harness.paced import Round
 from harness.processes import Child, Processes
 from harness.samples import Contender
 
-#: Connections that are open at a time, and made in all.
+#: Connections that are open at a time, and in total.
 MANY, IN_ALL = 2000, 4000
 
 _PROGRAM = """
@@ -30,7 +30,7 @@ coordinator Guest { init(string[] arg) { while (true) findPost("near").greet(); 
 """
 
 
-def first_word() -> bytes:
+def client_hello() -> bytes:
     """The first message of a client in a TLS handshake."""
     out, context = ssl.MemoryBIO(), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
@@ -40,7 +40,7 @@ def first_word() -> bytes:
 
 
 def flooded(start: Callable[[], bytes]) -> Opener:
-    """Rounds with connections that begin like that; every round is a host of its own."""
+    """Measure a host under connections with these first bytes; every round starts a new host."""
 
     def opener(checkout: Checkout, _: Processes) -> Contender:
         return partial(_round, checkout, start())
@@ -60,7 +60,7 @@ def _round(checkout: Checkout, start: bytes) -> Round:
 
 
 def _flood(port: int, start: bytes) -> None:
-    """Keep so many connections open; two threads, since one waits for the host."""
+    """Keep MANY connections open; two threads, because one waits for the host."""
     threads = [threading.Thread(target=_half, args=(port, start)) for _ in range(2)]
     for thread in threads:
         thread.start()
@@ -89,15 +89,15 @@ def _peak(host: Child) -> int:
 _HALF = b"\x16\x03\x01\x40\x00\x01\x00\x3f\xfc\x03\x03" + bytes(16000)
 
 FIGURE = Figure(
-    f"A host under {MANY} connections of strangers",
+    f"A host under {MANY} unauthenticated connections",
     {
-        "a handshake that stops": flooded(first_word),
-        "half a record of one": flooded(lambda: _HALF),
+        "an incomplete handshake": flooded(client_hello),
+        "half a handshake record": flooded(lambda: _HALF),
         "no TLS": flooded(lambda: bytes(1000)),
     },
     rounds=3,
     units={"more memory at its peak": BYTES},
-    one_size="one flood: however long it is, a host holds 64",
+    one_size="one number of connections: a host holds at most 64",
     targets={"more memory at its peak": "30.0 MB"},
-    notes=(f"{MANY} are open at a time, {IN_ALL} in all; a host holds 64 that have not greeted",),
+    notes=(f"{MANY} are open at a time, {IN_ALL} in total; a host holds 64 without a Hello",),
 )

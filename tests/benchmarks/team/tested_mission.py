@@ -1,4 +1,4 @@
-"""Runs the mission of a deployment on virtual time; prints its seconds, the processor's, and its hops."""
+"""Runs the mission of a deployment in virtual time; prints its seconds, processor seconds, and hops."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lfield.testing.mission.mission_team import MissionTeam
 
 
 def main() -> None:
-    """Open it first: that is compiling, mostly."""
+    """Load the mission before the measurement: loading is mostly compilation."""
     team = MissionTeam(Path(sys.argv[1]).resolve())
     began, clock = team.now, time.process_time()
     team.run(until_done=True)

@@ -1,7 +1,7 @@
-"""How fast the tests of missions are: the seconds of an example's mission against those of the processor.
+"""The speed of mission tests: the seconds of an example's mission compared with processor seconds.
 
-Real hosts, guards, drivers and fakes run in one process on virtual time; a ratio of 0.03 is 33 seconds of the
-mission in one of a processor. What else the computer does counts for nothing.
+Real hosts, guards, drivers and fakes run in one process in virtual time; a ratio of 0.03 is 33 mission
+seconds in one processor second. Other load of the computer has no effect.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender
 
-#: By what flies or moves in each.
+#: Examples by their robots.
 CASES = {
     "two copters": "01-first-flight",
     "a crane, a copter, an arm, a hand": "02-equivalent-lift",
@@ -22,7 +22,7 @@ CASES = {
     "a copter, a rover with a winch, an arm": "04-the-mission-survives",
     "no devices": "11-multiple-tiers",
 }
-#: Seconds that the slowest may take on a slow computer.
+#: Seconds for the slowest mission on a slow computer.
 PATIENCE = 300.0
 MISSION, TEST = "the mission", "its test"
 
@@ -30,7 +30,7 @@ _TESTED = str(Path(__file__).with_name("tested_mission.py"))
 
 
 def seconds(number: int) -> Opener:
-    """Of the mission itself (0), or of its test (1)."""
+    """Seconds of the mission (0), or of its test (1)."""
 
     def opener(checkout: Checkout, _: Processes) -> Contender:
         def measure() -> Round:
@@ -38,8 +38,8 @@ def seconds(number: int) -> Opener:
             for case, example in CASES.items():
                 with Processes() as processes:
                     mission = checkout.root / "examples" / example / "mission.dL"
-                    said = checkout.run(processes, _TESTED, str(mission)).line(PATIENCE)
-                    rounds[case] = [float(said.split()[number])]
+                    output = checkout.run(processes, _TESTED, str(mission)).line(PATIENCE)
+                    rounds[case] = [float(output.split()[number])]
             return rounds
 
         return measure

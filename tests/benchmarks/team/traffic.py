@@ -11,9 +11,9 @@ from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender
 
-#: How many hosts, and for how many seconds of virtual time they are measured.
+#: Seconds of virtual time by number of hosts.
 TEAMS = {3: 60.0, 10: 30.0, 30: 30.0, 50: 30.0, 100: 60.0, 300: 10.0, 1000: 60.0}
-#: Seconds in which the largest is measured on a slow computer.
+#: Seconds for the largest team on a slow computer.
 PATIENCE = 600.0
 MESSAGES, BYTES = "messages of a host each second", "bytes of a host each second"
 START, SECOND = "start, 10 s: processor", "a second: processor"
@@ -22,7 +22,7 @@ _TEAM = str(Path(__file__).with_name("idle_team.py"))
 
 
 def team(hosts: int) -> Opener:
-    """A team of so many hosts."""
+    """Measure a team of `hosts` hosts."""
 
     def opener(checkout: Checkout, _: Processes) -> Contender:
         def measure() -> Round:
@@ -38,7 +38,7 @@ def team(hosts: int) -> Opener:
 
 
 FIGURE = Figure(
-    "Traffic of a team in which nothing happens",
+    "Traffic of an idle team",
     {f"{hosts} hosts": team(hosts) for hosts in TEAMS},
     rounds=1,
     units={MESSAGES: COUNT, BYTES: RATE, START: SECONDS, SECOND: SECONDS},

@@ -1,8 +1,8 @@
-"""Somebody who watches hosts, for the figure `events`.
+"""An observer of hosts, for the figure `events`.
 
-    watching.py HOST=ADDRESS...
+watching.py HOST=ADDRESS...
 
-says `watching` when all are heard, and reads what they tell.
+prints `watching` when all hosts are connected, and discards their events.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from lfield.operator.client import observer_transport, own_keys
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
 from lfield.wire.subscription_messages import EventBatch
 
-#: How often a second each agent and device is told of.
+#: Telemetry rate of each agent and device (Hz).
 RATE = 5.0
 
 
 class Reader:
-    """Reads, and says once when all are heard."""
+    """Prints a line when all hosts are connected, and discards events."""
 
     def __init__(self, hosts: int) -> None:
         self._missing = hosts
 
     def on_linked(self, host: str) -> None:
-        """A host is heard."""
+        """Count the host; print `watching` after the last one."""
         self._missing -= 1
         if not self._missing:
             print("watching", flush=True)
@@ -39,16 +39,16 @@ class Reader:
 
 
 async def main(words: list[str]) -> None:
-    """Watch until the end."""
+    """Observe the hosts until killed."""
     addresses = dict(word.split("=", 1) for word in words)
     transport = observer_transport(own_keys(addresses.values(), None))
 
     async def reach(host: str) -> str:
         return addresses[host]
 
-    hearer = Reader(len(addresses))
+    reader = Reader(len(addresses))
     await EventFollower(
-        transport, list(addresses), reach, hearer, SystemClock(), FollowOptions(telemetry=RATE)
+        transport, list(addresses), reach, reader, SystemClock(), FollowOptions(telemetry=RATE)
     ).run()
 
 

@@ -1,4 +1,4 @@
-"""Two devices with one id are detected and named; foreign frames and reading tools are no second device."""
+"""Two devices with one id are detected and named; foreign frames and reading tools cause no conflict."""
 
 from __future__ import annotations
 

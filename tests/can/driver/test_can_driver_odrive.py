@@ -1,4 +1,4 @@
-"""ODrive axes through the driver, on virtual time. The axis here is a minimal one; the fake is more exact."""
+"""ODrive axes through the driver, in virtual time, with a minimal axis; the fake is more exact."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ async def test_held_axis_moved_by_another_master_is_held_again(b, axis, /):
     assert axis.moving() == ""
     await asyncio.sleep(0.1)
     assert b.axis.mode[0] == 3
-    # At the place where it was stopped, not where it stood before.
+    # The position at the stop, not the one before.
     assert b.axis.position - before > 1.0
     assert b.axis.goal == pytest.approx(b.axis.position, abs=0.02)
 

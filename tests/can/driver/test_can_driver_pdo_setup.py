@@ -1,4 +1,4 @@
-"""How process data are configured on drives that refuse some writes: no bus, records that refuse."""
+"""The configuration of process data on drives that refuse some writes: records without a bus."""
 
 from __future__ import annotations
 

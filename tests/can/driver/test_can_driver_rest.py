@@ -177,7 +177,7 @@ async def test_sdo_answer_overtaken_by_process_data_is_ignored(b, axis, /):
 
 @on_bench("drive", safe_state="torque_hold")
 async def test_enabling_a_held_axis_does_not_release_its_load(b, axis, /):
-    """By transition 16; without voltage in between it would fall."""
+    """The driver uses transition 16; without voltage in between the load would fall."""
     await axis.execute("enable", [])
     await asyncio.sleep(0.3)
     await axis.make_safe()

@@ -72,7 +72,7 @@ def test_expired_setpoint_stops_the_servo_where_it_is(node):
 
 
 def test_nodes_get_the_node_id_of_their_unique_id(node):
-    """Two nodes without ids ask at once; each gets the id of the binding with its unique id."""
+    """Two nodes without ids ask at the same time; each receives the id of the binding with its unique id."""
 
     async def story(fake, servo, battery):
         await servo.call("moveTo", -0.4)

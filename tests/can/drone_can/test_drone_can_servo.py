@@ -1,4 +1,4 @@
-"""Servos of DroneCAN on a bus in memory: two nodes with one id, and a position that is no longer known."""
+"""DroneCAN servos on a bus in memory: two nodes with one id, and an outdated position."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def play(bench, binding, bus):
 
 @pytest.mark.parametrize("apart", [0.0, 0.3, 100.0])
 def test_two_nodes_with_one_id(play, bus, apart):
-    """Also if both were switched on together: then their uptimes are the same."""
+    """The conflict is also detected if both were switched on together, with equal uptimes."""
 
     async def story(b, servo):
         await asyncio.sleep(5.0)
@@ -95,7 +95,7 @@ def test_one_node_that_restarts_is_not_two(play, bus):
 
 
 def test_an_outdated_position_is_not_held(play, bus):
-    """The statuses are lost, the commands arrive: the servo would go back to where it was last reported."""
+    """The statuses are lost, the commands arrive: the servo would return to its last reported position."""
     node = ServoNode(bus)
 
     async def story(b, servo):

@@ -30,7 +30,7 @@ SOCKETCAND = st.lists(
     max_size=20,
 )
 
-#: Frames that the devices know, and others.
+#: Frames that the devices process, and others.
 IDENTIFIERS = st.one_of(
     st.integers(0, 0x7FF),
     st.sampled_from([0, 0x80, 0x205, 0x305, 0x405, 0x505, 0x605, 0x701, 0x100, 0x101]),

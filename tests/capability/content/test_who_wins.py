@@ -21,9 +21,9 @@ from lfield.vm.agent import Agent
 
 GUIDE = Path(__file__).parents[3] / "lfield" / "docs" / "capabilities.md"
 
-#: The places in which an attribute can be stated, and the value that each of these tests states there.
+#: The places in which an attribute can be stated, and the test value of each place.
 VALUES = {"type": 1.0, "device's report": 2.0, "primitive": 3.0, "device": 4.0, "binding": 5.0, "agent": 6.0}
-#: An attribute is measured or it is not.
+#: Whether the attribute is measured.
 NEVER = {"device", "device's report"}
 
 
@@ -78,7 +78,7 @@ class _Crane:
 
 
 class _Silent:
-    """Portals that are never called."""
+    """Portals that are not called."""
 
     def last(self, agent: str, portal: str) -> Observation | str | None:
         return None

@@ -1,4 +1,4 @@
-"""A small team for the tests of the directory: two arms and a rover on hosts of their own."""
+"""A small team for the tests of the directory: two arms and a rover, each on its own host."""
 
 from __future__ import annotations
 

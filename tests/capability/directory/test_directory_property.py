@@ -1,4 +1,4 @@
-"""News is lost, late or doubled, and links fail: after one exchange both sides have the same values."""
+"""Reports are lost, late or repeated, and links fail: after one exchange both sides have equal values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TROUBLES = st.sampled_from([None, ("fc: in its safe state hold: why", None), ("f
 
 
 class Exchange(RuleBasedStateMachine):
-    """bravo reports to alpha over links that may do anything except change messages."""
+    """bravo reports to alpha over links with any faults except changed messages."""
 
     @initialize()
     def begin(self):

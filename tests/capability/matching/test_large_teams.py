@@ -14,7 +14,7 @@ MANY = 400
 
 
 def forks_and_carts(rule: Composition, many: int = MANY) -> Matcher:
-    """The last cart is in the slot of the first fork, and so on: the cheapest of each do not fit."""
+    """The last cart is in the slot of the first fork, and so on: the cheapest fork and cart do not fit."""
     forks = [candidate(f"f{i}", "Fork", note=f"slot {i}", payload=1.0 + i) for i in range(many)]
     carts = [candidate(f"c{i}", "Cart", note=f"slot {many - 1 - i}", payload=1.0 + i) for i in range(many)]
     return Matcher(registry(FORK, CART, rule), Crew(*forks, *carts))

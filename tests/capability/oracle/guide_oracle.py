@@ -124,7 +124,7 @@ def mentioned(tree: Tree) -> set[str]:
 
 
 class Oracle:
-    """All answers to one question."""
+    """All answers to one query."""
 
     def __init__(self, world: World, asked: Asked) -> None:
         self.world, self.asked = world, asked

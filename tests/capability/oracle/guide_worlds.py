@@ -50,7 +50,7 @@ class World:
 
 @dataclass
 class Asked:
-    """A question; `host` is where it is asked, `size` the number of members of a team."""
+    """A query; `host` is the querying host, `size` the number of members of a team."""
 
     primitive: str
     host: str
@@ -61,7 +61,7 @@ class Asked:
 
     @property
     def text(self) -> str:
-        """The question as text."""
+        """The query as text."""
         said = [] if self.condition is None else [written(self.condition)]
         if self.order:
             keys = (f"{written(tree)}{' desc' if descending else ''}" for tree, descending in self.order)
@@ -93,7 +93,7 @@ def written(tree: Tree) -> str:
 
 
 def world(rng: random.Random) -> World:
-    """A small world with something of everything."""
+    """A small world with all features."""
     made = World()
     for type in ("Crane", "Mule", "Tower", "Wagon", "Nobody"):
         made.providers[type] = _provider(rng)
@@ -233,7 +233,7 @@ def condition(rng: random.Random, depth: int) -> Tree:
 
 
 def question(made: World, rng: random.Random) -> Asked:
-    """A question to such a world, usually for a primitive that a rule serves."""
+    """A query to such a world, usually for a primitive that a rule serves."""
     rules = (*made.one_to_one.values(), *made.one_to_many.values(), *made.one_to_many.values())
     ruled = [rule["serves"] for rule in rules]
     keys: list[Tree] = [

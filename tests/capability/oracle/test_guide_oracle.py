@@ -30,7 +30,7 @@ class Deployed:
 
 
 def document(made: World) -> dict[str, Any]:
-    """The world as a registry file has it."""
+    """The world in the form of a registry file."""
     portals = {"go": {}}
     providers = {}
     for type, said in made.providers.items():

@@ -1,4 +1,4 @@
-"""The programs of the page about `lfield.client`, and the configuration of the page about assistants."""
+"""The programs of the documentation of `lfield.client`, and the configuration for assistants."""
 
 from __future__ import annotations
 

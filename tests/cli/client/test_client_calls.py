@@ -1,4 +1,4 @@
-"""The client beside real hosts: calls, cancellation, events, and a thousand clients at once."""
+"""The client with real hosts: calls, cancellation, events, and a thousand clients at a time."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_a_thousand_clients_are_answered_or_refused_and_the_mission_runs(team) -
     team.wait_for(f"tick {ticks + 2}$")
 
     async def later() -> object:
-        """The first answer: the host still refuses calls while requests of the thousand arrive."""
+        """Repeat the call until it is accepted: the host refuses calls while many requests arrive."""
         async with connect(team.mission) as found:
             for _ in range(100):
                 with suppress(PortalCallRefused):

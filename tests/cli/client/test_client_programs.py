@@ -1,4 +1,4 @@
-"""The programs of the page about `lfield.client`, as processes beside real hosts."""
+"""The programs of the documentation of `lfield.client`, as processes with real hosts."""
 
 from __future__ import annotations
 

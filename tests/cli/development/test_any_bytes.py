@@ -1,4 +1,4 @@
-"""For any bytes in a file, a command ends with a status of its table and a sentence."""
+"""For any bytes in a file, a command ends with a documented status and a one-sentence message."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ agents:
 "changes": [{"name": "FS_GCS_ENABLE", "was": 0.0, "now": 5.0}], "binding": {"agent": "sky", "field": "fc",
 "type": "Mavlink", "driver": "mavlink", "endpoint": "udp:127.0.0.1:9"}}]}""",
 }
-# : Command lines, and the file with changed bytes. An unknown host ends those that a valid file would let
-# continue: nothing is started and nothing opened. `build` first builds what `up` runs.
+#: Command lines, and the file with changed bytes. An unknown host ends commands that a valid file would let
+#: continue: they start no process and open no device. `build` first builds the bundle for `up`.
 COMMANDS = {
     "check mission.L": "mission.L",
     "check mission.dL": "mission.dL",
@@ -85,7 +85,7 @@ COMMANDS = {
     "setup --apply kept/setup-1.json": "kept/setup-1.json",
     "kit mavlink --devices mission.devices.yaml --endpoint nowhere": "mission.devices.yaml",
 }
-# : The statuses of such a command: done, no offers, and those of the table for files.
+#: The statuses of such a command: success, no offers, and the documented ones for files.
 ENDS = {exit_status.DONE, exit_status.USAGE, exit_status.DATA, exit_status.NO_INPUT}
 
 # : Bytes with a meaning in one of the formats.
@@ -119,7 +119,7 @@ ALSO = {"query": {exit_status.FAILED}, "setup": {exit_status.UNAVAILABLE}, "kit"
 
 
 def mutated(good: bytes, edits: list[tuple[float, int, bytes]]) -> bytes:
-    """The bytes with some of them replaced: from a part of the length on, so many, by these."""
+    """The bytes with some of them replaced, from a fraction of the length."""
     for part, length, piece in edits:
         at = int(part * len(good))
         good = good[:at] + piece + good[at + length :]
@@ -128,7 +128,7 @@ def mutated(good: bytes, edits: list[tuple[float, int, bytes]]) -> bytes:
 
 @pytest.fixture(scope="module")
 def mission(tmp_path_factory: pytest.TempPathFactory):
-    """A folder of valid files, and this process in it; an internal error is raised here."""
+    """Write a folder of valid files and change to it; internal errors are raised."""
     folder = tmp_path_factory.mktemp("any")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

@@ -1,4 +1,4 @@
-"""A mission in one file, from the build to its hosts, and the commands that read it."""
+"""A mission bundle, from the build to its hosts, and the commands that read it."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def test_an_invalid_bundle_or_command_line_is_refused(lfield, here, command, sta
     assert words in "\n".join(result.err)
 
 
-# : Runs a command and shows the modules of the host's process when it is up.
+#: A program that runs a command and prints the modules of the host's process when it is up.
 SHOWING = """
 import sys
 from lfield.cli.main import main
@@ -265,7 +265,7 @@ NOT_ON_ROBOTS += ("lfield.capability.program_types", "lfield.mission.loader", "r
 @pytest.mark.few(1)
 @pytest.mark.parametrize("example", ["01-first-flight", "02-equivalent-lift", "10-client-server"])
 def test_neither_a_host_nor_its_guards_load_the_compiler_or_yaml(lfield, example) -> None:
-    """Python itself lists every import of every process; fakes are not on a robot, and load as little."""
+    """Python lists every import of every process, also of fakes, which do not run on robots."""
     deployment = EXAMPLES / example / "mission.dL"
     lfield("build", deployment, "--sim", "-o", "mission.lfm", status=0)
     lfield.keys.sign(lfield.folder / "mission.lfm")

@@ -1,4 +1,4 @@
-"""`lfield capabilities`: the registry as a tree and on sheets, and its mistakes."""
+"""`lfield capabilities`: the registry as a tree and on sheets, and its errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lfield.capability.registry_reader.registry_files import shipped as shipped_
 from lfield.cli.main import main
 from lfield.operator.registry.sheets import describe
 
-#: Written by `lfield capabilities import` of version 0.3, from specs of ROS and a factsheet of VDA 5050.
+#: Output of `lfield capabilities import` of version 0.3 for ROS specs and a VDA 5050 factsheet.
 IMPORTED = Path(__file__).with_name("imported-0.3.yaml")
 
 MISSION = """\
@@ -345,7 +345,7 @@ def test_a_wrong_promise_of_the_mission_for_it_is_an_error(run):
 
 
 def test_a_named_file_is_checked_against_the_program(run):
-    """The author of a driver has its `capabilities.yaml` checked against the sources beside it."""
+    """A driver's `capabilities.yaml` is checked against the sources in the same folder."""
     (run.folder / "own.L").write_text(OWN_COPTER)
     (run.folder / "capabilities.yaml").write_text(
         "registry: 1\nproviders: {Copter: {serves: {Land: {}, Lift: {}}}}\n"
@@ -367,7 +367,7 @@ def test_unreadable_files_have_their_statuses(run):
 
 
 def test_files_of_the_0_3_importer_are_still_read(run):
-    """`capabilities import` is gone: files that it wrote are registries like any other."""
+    """Files of the removed command `capabilities import` are ordinary registries."""
     shutil.copy(IMPORTED, run.folder / "imported.yaml")
     assert run("check", "imported.yaml") == (0, ["no errors"], [])
     assert run("import", "mule.json")[0] == 64

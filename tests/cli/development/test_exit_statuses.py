@@ -1,5 +1,5 @@
-"""The table of exit statuses is correct: each command ends with its documented statuses, and prints a
-sentence.
+"""The table of exit statuses is correct: each command ends with its documented statuses and a one-sentence
+message.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def test_output_that_cannot_be_written_is_a_failure(files, command: str, stream:
     assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 74
 
 
-# : Sends SIGINT to itself, while a command imports a module, or while Python ends.
+#: A program that sends SIGINT to itself while a command imports a module, or while Python ends.
 INTERRUPTED = """
 import atexit, os, signal, sys
 def press():
@@ -294,13 +294,13 @@ def test_ctrl_c_at_any_moment_causes_no_traceback(files, module: str, command: s
         cwd=files.folder, capture_output=True, text=True, check=False,
         env={"PYTHONPATH": ":".join(sys.path)},
     )  # fmt: skip
-    # A process that the signal ends has no status of its own; a shell reports 130.
+    # A process that a signal ends has no exit status; a shell reports 130.
     assert done.returncode in (exit_status.INTERRUPTED, -signal.SIGINT)
     assert done.stderr == ""
 
 
 def test_an_ignored_ctrl_c_stays_ignored(files) -> None:
-    """As a shell sets it for a background process."""
+    """A shell ignores SIGINT for background processes."""
     ignored = (
         f"trap '' INT; exec {sys.executable} -c '{INTERRUPTED.format(module='argparse')}' check mission.L"
     )

@@ -180,7 +180,7 @@ def test_a_bundle_is_signed_in_place_and_keeps_its_digest(
     assert verify_bundle(after.digest, after.signature, trusted).who.name == "anna"
     assert re.fullmatch(r"signed    by anna, 20\S+ \S+ UTC", here("inspect", "mission.lfm").out[1])
     bundle.read(path)
-    # A second signature makes no other bundle, and nothing grows.
+    # A second signature leaves the bundle unchanged.
     here("sign", "mission.lfm", status=0)
     assert len(path.read_bytes()) == sum(row.size for row in after.table) + len(after.signature) + (
         path.read_bytes().index(bytes(after.parts["program"]))

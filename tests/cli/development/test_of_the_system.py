@@ -1,4 +1,4 @@
-"""Errors of the operating system are reported with a remedy, and with a suitable status."""
+"""Errors of the operating system are reported with a remedy and a suitable status."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Every option of every command: an invalid value is refused with a sentence, without the name of a Python
-function.
+"""Every option of every command: an invalid value is rejected with a one-sentence message without the name of
+a Python function.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import pytest
 from lfield.cli.main import COMMANDS, MODULES
 from lfield.text.number_arguments import real_above_0, real_between, whole_between
 
-# : Words that are no numbers, or no useful ones; Python reads no number of 5,000 digits.
+#: Invalid or useless numbers; Python parses no number of 5,000 digits.
 JUNK = ("soon", "400d", "nan", "inf", "-1", "1e400", "0.0002", "²", "1,2", "0x", ":", "9" * 5000)
 
 

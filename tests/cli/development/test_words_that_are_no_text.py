@@ -1,6 +1,6 @@
-"""Every word of a command may hold bytes that are not UTF-8: no internal error, and no unreadable text. They
-come from a terminal in Latin-1, a script, an old disk. Python has each of them as half of a surrogate pair,
-which has no encoding.
+"""Every word of a command may contain bytes that are not UTF-8, without an internal error or unreadable text.
+Sources are a terminal in Latin-1, a script, an old disk. Python represents each byte as half of a surrogate
+pair, which has no encoding.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LEFT_OUT = {"test"}
 
 
 class Leaf(NamedTuple):
-    """A command, or a command of a command, with its parser."""
+    """A command or subcommand with its parser."""
 
     name: str
     parser: argparse.ArgumentParser
@@ -75,7 +75,7 @@ def all_leaves() -> Iterator[Leaf]:
 
 
 def cases() -> Iterator[tuple[str, str]]:
-    """A leaf, and an option of it that takes a word."""
+    """A leaf, and an option with a word as its value."""
     for leaf in all_leaves():
         for action in leaf.parser._actions:
             if action.nargs != 0:
@@ -104,7 +104,7 @@ def lines(name: str, tried: str) -> Iterator[list[str]]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with a mission, whose name is undecodable too; commands find nothing else on this computer."""
+    """A folder with an undecodable name and a mission; commands find nothing else on this computer."""
     path = tmp_path_factory.mktemp("words") / "n\udcf6rd"
     path.mkdir()
     with pytest.MonkeyPatch.context() as patch:
@@ -149,7 +149,7 @@ def test_a_file_may_have_an_undecodable_name(folder: Path, file: str) -> None:
 
 
 def test_characters_outside_the_output_encoding_are_escaped(folder: Path) -> None:
-    """`LC_ALL=C PYTHONUTF8=0`: a unit, a name, or the output of a program must not end a command."""
+    """With `LC_ALL=C PYTHONUTF8=0` a unit, a name, or the output of a program must not end a command."""
     out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     with redirect_stdout(out):
         assert main(["capabilities", "show", "Lift"]) == exit_status.DONE

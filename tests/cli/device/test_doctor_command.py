@@ -1,4 +1,4 @@
-"""`lfield doctor --deploy`: the answer of each endpoint, and the remedy for each one without."""
+"""`lfield doctor --deploy`: the answer of each endpoint, and the remedy for each silent one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Nobody:one@alpha\n"
 
 @pytest.fixture
 def deployment(lfield):
-    """Two copters on a link of which only the first one answers."""
+    """Two copters on one link; only the first one answers."""
     words = ("--listen", "udp:127.0.0.1:0", "--set-up", "--until-stdin-closes")
     fake = lfield.start("sim", "mavlink", *words, stdin=True)
     endpoint = fake.wait_for(r"^ready (\S+)")[1]

@@ -41,7 +41,7 @@ def site(tmp_path_factory):
 
 
 def install(name, folder):
-    """As pip leaves it."""
+    """Install the driver as pip does."""
     info = folder / f"lfield_{name}-0.1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: lfield-{name}\nVersion: 0.1.0\n")
@@ -102,7 +102,7 @@ def test_the_kit_detects_a_fault_of_a_new_driver(site, monkeypatch):
 def test_a_failed_check_sets_the_exit_status(site, endpoint):
     fault = lfield(site, "sim", "fault", endpoint, "stuck=true")
     assert "stuck = true" in fault.communicate()[0]
-    # The distance is shorter than that of the check, which is refused at once.
+    # The distance is below the minimum of the check, which is refused immediately.
     short = ("--set", "ttl=0.2", "--set", "limits={value: 0.05}")
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", *short, "--silence", "0.5")
     said, _ = kit.communicate()
@@ -187,7 +187,7 @@ def test_a_serial_driver_passes_its_own_tests_and_type_checks(serial_site):
 
 
 def test_a_serial_driver_moves_its_fake_on_a_pseudo_terminal(serial_site):
-    """In real time: the tty, its lock and the bytes are those of the kernel."""
+    """The test uses real time and the kernel's tty and lock."""
     fake, path = importlib.import_module("lfield_bell.fake"), serial_site / "tty"
     parser = argparse.ArgumentParser()
     fake.SIM.add_arguments(parser)

@@ -77,7 +77,7 @@ def test_devices_of_a_file_are_checked_as_json_without_consent(lfield, bus, here
     ],
 )
 def test_checks_without_motion_run_on_a_fake(lfield, driver, fake, settings, passed, here):
-    """tests/kits has the whole kits, on virtual time."""
+    """tests/kits has the complete kits, in virtual time."""
     sim = lfield.start("sim", driver, *fake, "--until-stdin-closes", stdin=True)
     words = [word for setting in settings for word in ("--set", setting)]
     types = ["--type", "Dynamixel"] if driver == "dynamixel" else []

@@ -19,7 +19,7 @@ HOME = ("--home", "47.3977419,8.545594")
 
 @pytest.fixture
 def plan(capsys):
-    """Runs `lfield plan`; gives its status, output and errors."""
+    """Run `lfield plan`; returns its status, output and errors."""
 
     def run(*words):
         status = main(["plan", *map(str, words)])

@@ -122,7 +122,7 @@ def test_settings_that_cannot_be_saved_are_not_written(lfield, setup, endpoint, 
 def test_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
     kept = lfield.folder / "state" / "setup-1.json"
-    # The answers are so late that the interrupt arrives between the writes.
+    # Delayed answers: the interrupt arrives between the writes.
     lfield("sim", "fault", "mavlink", "delay=0.4", status=0)
     writing = lfield.start("setup", *words, "--yes", "--state", "state")
     writing.wait_for("FS_GCS_ENABLE was 0 and is now 5")
@@ -143,7 +143,7 @@ def test_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
 
 @pytest.mark.few(0)
 def test_settings_of_one_vehicle_are_not_restored_to_another(lfield, setup):
-    """Two vehicles of one system id, one after the other on one computer."""
+    """Two vehicles with the same system id, used in sequence on one computer."""
 
     def there(where, *words):
         fake = lfield.start("sim", "mavlink", "--until-stdin-closes", "--listen", where, *words, stdin=True)
@@ -167,7 +167,7 @@ def test_settings_of_one_vehicle_are_not_restored_to_another(lfield, setup):
     assert not any("FS_GCS_ENABLE" in line for line in back.out)
     gone(other)
 
-    # A simulated vehicle forgets its parameters when it ends.
+    # A simulated vehicle does not store its parameters.
     there(endpoint, "--board", "a1", *written)
     result = setup("--apply", file)
     assert result.status == 64, result

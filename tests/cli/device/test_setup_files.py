@@ -6,7 +6,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-#: Files with a harmless value and an unknown name, by autopilot; the name and the value before and after.
+#: Files with a harmless value and an unknown name, by autopilot; the name, the old and the new value.
 HARMLESS = {
     "ardupilot": ("PILOT_TKOFF_ALT,120\nNO_SUCH_NAME,1\nSERIAL1_PROTOCOL,10\n", "PILOT_TKOFF_ALT", "120"),
     "px4": (
@@ -23,7 +23,7 @@ FORBIDDEN = {
 
 @pytest.fixture
 def setup(lfield, here):
-    """Runs `lfield setup` on one fake; by autopilot."""
+    """Run `lfield setup` on one fake, by autopilot."""
 
     def start(autopilot):
         words = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", "--flavour", autopilot)
@@ -66,7 +66,7 @@ def test_a_file_is_shown_written_read_back_and_reverted(lfield, setup, autopilot
 @pytest.mark.parametrize("autopilot", FORBIDDEN)
 def test_values_that_the_binding_forbids_refuse_the_whole_file(lfield, setup, autopilot):
     run = setup(autopilot)
-    # As after `lfield setup`: then the file would undo it.
+    # The values of `lfield setup`, which the file would undo.
     assert run("--yes").status == 0
     refused = run("--apply", lfield.write("bad.param", FORBIDDEN[autopilot]), "--yes")
     assert refused.status == 65

@@ -10,9 +10,9 @@ from robots import Robots
 
 @pytest.fixture
 def robots(lfield, alone, monkeypatch) -> Iterator[Callable[..., Robots]]:
-    """`robots("alpha", "bravo")`: their inventory and keys; nothing runs yet."""
+    """`robots("alpha", "bravo")`: robots with inventory and keys, without running services."""
 
-    # The inventory of their own folder counts.
+    # The inventory of the robots' folder is used.
     monkeypatch.delenv("LFIELD_INVENTORY")
 
     def prepare(*hosts: str, router: str = "") -> Robots:

@@ -28,7 +28,7 @@ coordinator Walker {
     }
 }
 """
-#: Text that no change of the program changes, so that a bundle has several pieces.
+#: Constant text, so that a bundle has several pieces.
 PADDING = "".join(f'write("{n * n:08d} {n**3:012d} {n**5:020d}");\n' for n in range(200))
 TEAM = "//Walker:tom@alpha?post\n//Post:post@bravo\n"
 
@@ -44,7 +44,7 @@ def program(rounds: int = 1, pause: float = 0.0, text: str = "visit") -> str:
 
 
 class Robots:
-    """The robots of one test, in the fabric of a `router` or on loopback. Commands of the desk are called in
+    """The robots of one test, in the fabric of a `router` or on loopback. Commands of the desk run in
     `lfield.folder`."""
 
     def __init__(self, lfield, hosts: Sequence[str], runtime: str, router: str = "") -> None:
@@ -77,7 +77,7 @@ class Robots:
             self.services[host].wait_for(f"^{host} service listening")
 
     def kill(self, host: str) -> None:
-        """End the process of a service at once; what it has started continues."""
+        """Kill the process of a service; its child processes continue."""
         self.services[host].signal(signal.SIGKILL)
         self.services[host].popen.wait()
 

@@ -16,7 +16,7 @@ DIGEST = bytes(range(32))
 
 
 def result(**votes: Vote) -> BallotResult:
-    """The result of a ballot of alpha and bravo, as told by those that have voted."""
+    """The result of a ballot of alpha and bravo, from the reports of the voters."""
     found = BallotResult(new_ballot(DIGEST, ["alpha", "bravo"], "anna", bytes))
     for host, vote in votes.items():
         reasons = {host: "lead.fc is off the ground"} if vote == "no" else {}
@@ -53,7 +53,7 @@ def test_hosts_that_do_not_know_the_result_are_named(capsys) -> None:
 def test_a_host_that_cannot_store_its_vote_is_named_with_the_reason(capsys) -> None:
     found = result(bravo="yes")
     found.unreached["alpha"] = HandshakeError("cannot write state.json: No space left on device")
-    # It answers the report of the votes, and has none of its own.
+    # The host answers the report of the votes without a vote.
     found.add("alpha", BallotState(found.ballot.id, None, {}, {}, "open"))
     assert PushReport(DIGEST, as_json=False).on_result(found) == exit_status.UNKNOWN_OUTCOME
     assert "alpha: no vote: cannot write state.json" in capsys.readouterr().err

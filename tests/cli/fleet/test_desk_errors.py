@@ -1,4 +1,4 @@
-"""The exit status of a command of the desk that not all robots have carried out."""
+"""The exit status of a desk command that not all robots have carried out."""
 
 from __future__ import annotations
 

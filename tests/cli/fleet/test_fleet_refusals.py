@@ -50,7 +50,7 @@ def test_a_bundle_by_a_person_without_the_right_is_refused_by_every_robot(lfield
 
 @pytest.mark.few(0)
 def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield, here, team) -> None:
-    """Signed by keys of another authority, and pushed by a person who may."""
+    """The keys of another authority sign the bundle, and a person with the right pushes it."""
     here("build", "mission.dL", status=0)
     Keyring(lfield.folder / "other").sign(lfield.folder / "mission.lfm")
     refused = here("push", "mission.lfm", "--json")
@@ -72,7 +72,7 @@ def test_keys_of_another_authority_are_refused(lfield, here, team) -> None:
     for command in ("status", "stop", "rollback"):
         refused = here(command, "--keys", other, status=1)
         assert "alpha: REFUSED" in " ".join(refused.err)
-    # An unreached robot decides the status: the command may work when repeated.
+    # The unreached robot determines the status: a repeated command may succeed.
     team.kill("bravo")
     here("status", "--keys", other, status=69)
 
@@ -97,7 +97,7 @@ def test_an_inventory_without_a_host_of_the_mission_is_named(lfield, here, team)
 
 
 def test_two_bundles_never_run_in_one_mission(lfield, here, team) -> None:
-    """Not even where each start leaves out the host of the other bundle."""
+    """The rule also holds if each start leaves out the host of the other bundle."""
     team.mission(rounds=1000, pause=0.5)
     here("push", "mission.dL", status=0)
     team.mission(rounds=1000, pause=0.5, text="call")
@@ -151,7 +151,7 @@ def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lf
 
 @pytest.fixture
 def staged(lfield, here, team) -> Callable[[], Ballot]:
-    """`staged()`: a ballot about a bundle that both robots have stored."""
+    """`staged()`: a ballot on a bundle that both robots have stored."""
     here("push", "mission.dL", "--stage", status=0)
     digest = bytes.fromhex(told(here("status", "--json"))["alpha"]["stored"][0])
     return lambda: new_ballot(digest, ["alpha", "bravo"], "anna")
@@ -180,11 +180,11 @@ def test_the_second_of_two_concurrent_pushes_is_refused_until_the_first_is_decid
     second = here("push", "mission.dL", "--json")
     assert (second.status, told(second)["outcome"]) == (1, "aborted")
     assert "by anna" in told(second)["reasons"]["alpha"]
-    # Bound by the first ballot, it starts nothing.
+    # The first ballot binds the service, so it starts no mission.
     here("start", status=1)
     assert told(here("status", "--json"))["alpha"]["ballot"]["outcome"] == "open"
     assert send("bravo", Proposal(ballot)).votes == {"bravo": "yes"}
-    # The two settle it among themselves, without the desk.
+    # The two services complete the ballot without the desk.
     team.services["alpha"].wait_for("active, decided by the votes of alpha and bravo")
     team.services["bravo"].wait_for("active, decided by the votes of alpha and bravo")
     assert send("alpha", VoteReport(ballot.id, {})).outcome == "activated"

@@ -1,4 +1,4 @@
-"""No activation while a robot flies; what is staged meanwhile becomes active when it is down."""
+"""No activation while a robot flies; a bundle staged in flight becomes active after the landing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C during a fleet command: robots that have received it continue, and the message says so."""
+"""Ctrl-C during a fleet command: robots that have received it continue, and the message reports that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands find hosts by the inventory: addresses, several of them, wrong ones, and none."""
+"""Commands find hosts with the inventory: one address, several, wrong ones, and none."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DEPLOYMENT = "//Walker:tom@alpha\n//Post:post@bravo\n"
 
 
 class Team:
-    """Two hosts of a mission at addresses of an inventory, each as if on a computer of its own."""
+    """Two hosts of a mission at addresses of an inventory, each with a separate environment."""
 
     def __init__(self, lfield, here, runtime: str) -> None:
         self.lfield, self.here, self.runtime = lfield, here, runtime
@@ -29,7 +29,7 @@ class Team:
         self.deployment = lfield.mission(PROGRAM, DEPLOYMENT)
 
     def inventory(self, **addresses: str) -> None:
-        """Write it; `{alpha}` and `{bravo}` are the ports of the hosts."""
+        """Write the inventory; `{alpha}` and `{bravo}` are the ports of the hosts."""
         rows = "".join(
             f"  {host}: {{addresses: [{text.format(**self.ports)}], service_port: {number}}}\n"
             for number, (host, text) in enumerate(addresses.items(), 1)
@@ -58,7 +58,7 @@ def test_hosts_and_commands_use_the_inventory(team) -> None:
     team.inventory(alpha="'127.0.0.2:{alpha}'", bravo="'127.0.0.4:{bravo}', '[::1]:{bravo}'")
     (bravo,) = team.up("bravo")
     bravo.wait_for("listening on")
-    # One address of bravo is dead.
+    # One address of bravo has no listener.
     team.inventory(
         alpha="'127.0.0.2:{alpha}', '127.0.0.3:{alpha}'", bravo="'127.0.0.9:{bravo}', '[::1]:{bravo}'"
     )
@@ -68,7 +68,7 @@ def test_hosts_and_commands_use_the_inventory(team) -> None:
     alpha.wait_for(f"alpha listening on 127.0.0.2:{port},127.0.0.3:{port}")
     # For the desk, one address of bravo is that of alpha.
     team.inventory(alpha="'127.0.0.3:{alpha}'", bravo="'127.0.0.2:{alpha}', '[::1]:{bravo}'")
-    # Without a mission, and with it.
+    # Without and with a mission.
     for words in ((), ("mission.dL",)):
         shown = team.here("ps", "--json", *words)
         assert shown.status == 0, shown
@@ -87,12 +87,12 @@ def test_hosts_and_commands_use_the_inventory(team) -> None:
     assert stopped.status == 0
     assert team.here("estop", "--lift").status == 0
     assert team.here("forget", "tom").status == 69
-    # What these commands show takes the file of the mission.
+    # These commands need the file of the mission.
     for command in (("query", "Lift"), ("watch",)):
         refused = team.here(*command)
         assert refused.status == 69
         assert "name the file of the mission" in " ".join(refused.err)
-    # A local option counts more.
+    # A command-line option takes precedence.
     assert team.here("ps", "mission.dL", "--map", "alpha=127.0.0.8:1").status == 69
 
 

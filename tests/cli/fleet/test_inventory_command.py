@@ -114,7 +114,7 @@ def test_an_unknown_host_and_a_missing_inventory_are_usage_errors(lfield, here) 
 
 
 def test_a_link_local_address_without_a_listener_is_explained() -> None:
-    """The zone of a link-local address is an interface of the computer that uses the address."""
+    """The zone of a link-local address is an interface of the connecting computer."""
     closed = EndpointState("closed")
     assert "wlan0" in _finding(Endpoint("alpha", "mission", "[fe80::1%wlan0]:8181"), closed)
     assert _finding(Endpoint("alpha", "mission", "[fd00::1]:8181"), closed) == ""

@@ -74,7 +74,7 @@ def test_prepare_needs_no_robot_whose_platform_is_in_the_inventory(folder, here)
 
 @pytest.mark.usefixtures("own")
 def test_another_python_is_prepared_for_a_robot_with_an_old_one(folder, here, monkeypatch) -> None:
-    """The command installs another one, for which it needs uv or an archive that uv has collected before."""
+    """The command installs another Python, for which it needs uv or an archive collected by uv."""
     (folder / "inventory.yaml").write_text(INVENTORY.replace('"3.11"', '"3.10"'))
     monkeypatch.setattr(standalone_python, "find_uv", lambda: None)
     prepare = ("provision", "--inventory", "inventory.yaml", "--prepare", "--json", "alpha")

@@ -1,4 +1,4 @@
-"""A bundle on all robots or none, and missions that the operator starts and stops."""
+"""Bundles that become active on all robots or none, and missions that the operator starts and stops."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def until(condition, seconds: float = 30.0) -> None:
 
 
 def is_up(here, host: str) -> bool:
-    """Whether the mission's host runs, and waits for nothing."""
+    """Whether the mission's host runs without waiting."""
     run = told(here("status", "--json"))[host]["run"]
     return (run["phase"], run["reason"]) == ("running", "")
 
@@ -43,7 +43,7 @@ def test_a_mission_is_pushed_started_changed_and_rolled_back(lfield, here, robot
     team.mission(text="call")
     second = told(here("push", "mission.dL", "--json"))
     assert second["outcome"] == "activated"
-    # Only what changed is sent.
+    # Only changed pieces are sent.
     assert 0 < second["sent"]["alpha"]["bytes"] < first["sent"]["alpha"]["bytes"] / 2
     here("start", status=0)
     team.services["bravo"].wait_for("^call 1$")
@@ -72,7 +72,7 @@ def test_unfinished_coordinators_forbid_an_activation_until_discarded(lfield, he
     refused = here("push", "mission.dL", "--json")
     assert (refused.status, told(refused)["outcome"]) == (1, "aborted")
     assert any("tom" in reason for reason in told(refused)["reasons"].values())
-    # The refusal was known, so no mission was held for a vote.
+    # The refusal came before the vote, so no mission was held.
     assert told(refused)["votes"] == {}
     assert not any("vote no" in line for service in team.services.values() for line in service.err)
 
@@ -83,7 +83,7 @@ def test_unfinished_coordinators_forbid_an_activation_until_discarded(lfield, he
     here("push", "mission.dL", status=1)
     checked = here("service", "--host", "alpha", "--state", "state-alpha", "--check")
     assert (checked.status, checked.out) == (1, ["coordinator tom of mission has not ended: moved"])
-    # It continues at its last position, until it is discarded.
+    # The mission continues at its last position until it is discarded.
     started = here("start", status=0)
     assert any(line.startswith("tom continues: it has not ended") for line in started.out)
     team.services["bravo"].wait_for("restarted")
@@ -96,16 +96,16 @@ def test_unfinished_coordinators_forbid_an_activation_until_discarded(lfield, he
 
 @pytest.mark.few(0)
 def test_a_second_start_waits_for_a_missing_host(lfield, here, robots) -> None:
-    """The coordinator of the first start is in all journals: the second one does not wait for it."""
+    """The coordinator of the first start is in all journals: the second start does not wait."""
     team = robots("alpha", "bravo", "carol")
     lfield.mission(program(), TEAM + "//Post:other@carol\n")
     team.up()
     here("push", "mission.dL", status=0)
     here("start", status=0)
     until(lambda: {each["run"]["phase"] for each in told(here("status", "--json")).values()} == {"ended"})
-    # As if carol were forgotten: its host does not run.
+    # The host of carol does not run.
     team.inventory.write_text("".join(team.inventory.read_text().splitlines(keepends=True)[:-1]))
-    # It waits for 20 s itself.
+    # The command waits for 20 s.
     here("start", status=1)
     runs = {host: each["run"]["phase"] for host, each in told(here("status", "--json")).items()}
     assert runs == {"alpha": "running", "bravo": "running"}
@@ -129,13 +129,13 @@ def test_a_killed_service_leaves_the_mission_alone_and_supervises_it_again(lfiel
     team.services["bravo"].wait_for("restarts in 2 s")
     until(lambda: team.state("bravo")["run"]["pid"] not in (0, pid))
     until(lambda: is_up(here, "bravo"))
-    # One that ended while no service ran, too.
+    # So is a host that ended while its service did not run.
     team.kill("bravo")
     pid = team.state("bravo")["run"]["pid"]
     os.kill(pid, signal.SIGKILL)
     team.up("bravo")
     team.services["bravo"].wait_for("restarts in 2 s")
-    # The end of a service in order ends the mission's host.
+    # An orderly end of a service ends the mission's host.
     until(lambda: is_up(here, "bravo"))
     team.services["bravo"].signal(signal.SIGTERM)
     assert team.services["bravo"].wait() == 0
@@ -162,7 +162,7 @@ def test_a_service_whose_state_was_deleted_finds_its_host_and_votes_no(lfield, h
     refused = told(here("push", "mission.dL", "--without", "alpha", "--json"))
     assert (refused["outcome"], refused["reasons"].keys()) == ("aborted", {"bravo"})
     assert "the vehicles of the mission's host are unknown" in refused["reasons"]["bravo"]
-    # It ends in order, and its result is known although the file of it was deleted.
+    # The mission ends in order, and its result is known although its file was deleted.
     stopped = told(here("stop", "--discard", "--json"))["bravo"]
     assert (stopped["phase"], stopped["trouble"]) == ("stopped", "")
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"

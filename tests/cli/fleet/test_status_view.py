@@ -1,4 +1,4 @@
-"""The sentences of `lfield status` about a team."""
+"""The output of `lfield status` for a team."""
 
 from __future__ import annotations
 

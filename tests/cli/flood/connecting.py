@@ -1,4 +1,4 @@
-"""A client without keys that connects without end and sends nothing: `python address_race.py PORT KEEP`.
+"""A client without keys that connects continuously and sends nothing: `python connecting.py PORT KEEP`.
 Prints the number of its connections once a second. `KEEP` connections stay open, the oldest is closed first.
 """
 

@@ -1,6 +1,6 @@
-"""A member with valid keys that sends without end: `python flood_callers.py PORT KEYS HOST KIND`. Prints
-`linked` when the host at that port of this computer has accepted it, `refused` when it has not, and `closed`
-when the link ends, with the time. It connects again at once until it is stopped.
+"""A member with valid keys that sends continuously: `python flood_callers.py PORT KEYS HOST KIND`. Prints
+`linked` when the host at that port of this computer has accepted it, `refused` after a rejection, and
+`closed` when the link ends, with the time. The member reconnects immediately until it is stopped.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from lfield.wire.messages import (
     Ping,
 )
 
-#: Frames of each kind, sent again and again.
+#: Frames of each kind, sent repeatedly.
 BLOCK, OVER = bytes(256 << 10), bytes(4 << 20)
 KINDS = {
     "pings": encode(Ping(1)) * 600,
@@ -62,7 +62,7 @@ class Caller:
         self._messages = self._received()
 
     def send(self, data: bytes, record: int = 1 << 14) -> None:
-        """In records of so many bytes."""
+        """Send bytes in records of a given size."""
         parts = (data[at : at + record] for at in range(0, len(data), record))
         self.link.sendall(b"".join(map(self._channel.encrypt, parts)))
 
@@ -84,7 +84,7 @@ class Caller:
 
 
 def linked(port: int, keys: TlsIdentity, hello: Hello) -> Caller:
-    """A link on which both hosts have accepted each other's greeting. Raises ConnectionError."""
+    """Open a link and complete the handshake. Raises ConnectionError."""
     caller = Caller(port, keys, hello)
     caller.receive()
     message = caller.receive()
@@ -102,7 +102,7 @@ def greeting(port: int, keys: TlsIdentity, name: str) -> Hello:
 
 
 def main() -> None:
-    """Call until stopped."""
+    """Connect and send until stopped."""
     port, name, kind = int(sys.argv[1]), sys.argv[3], sys.argv[4]
     keys = TlsIdentity(keystore.read_keys(Path(sys.argv[2]), "host"))
     hello = greeting(port, keys, name)
@@ -120,7 +120,7 @@ def main() -> None:
 
 
 def flood(caller: Caller, data: bytes, record: int) -> None:
-    """Send until the link ends, in records of so many bytes. Answers are thrown away."""
+    """Send until the link ends, in records of a given size. Answers are discarded."""
     threading.Thread(target=throw_away, args=[caller.link], daemon=True).start()
     caller.link.settimeout(None)
     while True:

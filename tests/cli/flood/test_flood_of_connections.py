@@ -1,4 +1,4 @@
-"""Clients without keys that connect at the highest rate and send nothing: guards keep time, a stop
+"""Clients without keys that connect at the highest rate and send nothing: guards keep their periods, a stop
 arrives.
 """
 

@@ -1,4 +1,4 @@
-"""A member of the team that sends without end: guards keep time, a stop arrives, the log names it."""
+"""A team member that sends continuously: guards keep their periods, a stop arrives, the log names it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Flood:
         self._popen = popen
 
     def next(self, word: str) -> float:
-        """The time of its next line with this word, on the monotonic clock."""
+        """The monotonic time of the next output line with this word."""
         assert self._popen.stdout is not None
         for line in self._popen.stdout:
             if line.startswith(word):
@@ -59,7 +59,7 @@ def flooding(lfield, port: int, kind: str) -> Iterator[Flood]:
             popen.kill()
 
 
-# tests/net/test_members.py has the same on virtual time.
+# tests/net/test_members.py has the same in virtual time.
 @pytest.mark.few(0)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_flooding_member_does_not_block_others_and_is_named(lfield, alone, kind):

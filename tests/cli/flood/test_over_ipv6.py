@@ -1,4 +1,4 @@
-"""Hosts whose addresses are of IPv6, in the deployment and by `--map`: they link, and commands reach them."""
+"""Hosts with IPv6 addresses, in the deployment and by `--map`: they link, and commands reach them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_hosts_at_ipv6_addresses_link_and_are_queried_and_stopped(lfield, alone)
     here.wait_for(rf"listening on \[::1\]:{one}")
     lfield.start(*up, "bravo", env=alone)
     here.wait_for("greeted")
-    # Over the network, not by the sockets of their runs.
+    # Connect over the network, not over the sockets of the runs.
     maps = ("--map", f"[::1]=[::1]:{one}")
     lfield("ps", *team, *maps, env=alone, status=0)
     pressed = lfield("estop", *team, *maps, "--no-wait", env=alone, status=0)

@@ -1,4 +1,4 @@
-"""`lfield up` and other commands in a Zenoh fabric, which the inventory names: the program stays as it is."""
+"""`lfield up` and other commands in a Zenoh fabric of the inventory, with an unchanged program."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_hosts_wait_for_a_router_that_starts_later(lfield) -> None:
 @pytest.mark.few(0)
 @pytest.mark.parametrize("named", [False, True])
 def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield, routers, alone, named):
-    """The address is that of the run, so the routers are: with and without --inventory."""
+    """The run determines the address and the routers, with and without --inventory."""
     near, far = (each.endpoint for each in routers)
     inventory = lfield.write("inventory.yaml", INVENTORY.format(near=near, far=far))
     deployment = lfield.mission(
@@ -91,7 +91,7 @@ def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield,
     lfield.keys.give("alpha", "bravo")
     words = ("up", "--deploy", deployment, "--inventory", inventory, "--first-start", "--host")
     alpha = lfield.start(*words, "alpha")
-    # Commands at alpha see no run of bravo.
+    # Commands on alpha find no run of bravo.
     bravo = lfield.start(*words, "bravo", env=alone)
     alpha.wait_for("link to bravo established")
     options = ("--inventory", inventory) if named else ()
@@ -102,7 +102,7 @@ def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield,
 
 
 def test_a_command_without_the_zenoh_package_names_it(lfield) -> None:
-    """One sentence with a code, and no traceback: in a Python that cannot import it."""
+    """The Python cannot import the package: the error is one sentence with a code, without a traceback."""
     lfield.write("zenoh.py", "raise ImportError('hidden by the test')\n")
     inventory = lfield.write(
         "inventory.yaml", INVENTORY.format(near="tcp/127.0.0.1:1", far="tcp/127.0.0.1:1")

@@ -7,5 +7,5 @@ import pytest
 
 @pytest.fixture
 def own(alone) -> dict[str, str]:
-    """The environment of commands that find only the runs of one test, not even a service's."""
+    """An environment in which commands find only the runs of one test, and no service."""
     return {**alone, "RUNTIME_DIRECTORY": f"{alone['XDG_RUNTIME_DIR']}/service/lfield"}

@@ -1,4 +1,4 @@
-"""A client with only the right to observe sends thousands of requests at once: the vehicle flies, a stop
+"""A client with only the right to observe sends thousands of requests at a time: the vehicle flies, a stop
 arrives.
 """
 
@@ -22,7 +22,7 @@ from lfield.wire.subscription_messages import Subscribe
 
 pytestmark = pytest.mark.process
 
-# : The copter receives commands continuously, and the link to the other host is in use.
+#: The copter receives commands continuously, and the link to the other host is in use.
 PROGRAM = r"""
 resource Copter {
     Mavlink fc;
@@ -42,14 +42,14 @@ silence: 1.0
 agents:
   lead: {devices: {fc: {driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]}}}
 """
-#: Links of one person, requests of each at once, the size of a record, and seconds for a host to answer.
+#: Links of one person, requests of each link, the size of a record, and seconds for a host to answer.
 LINKS, REQUESTS, RECORD, PATIENCE = 20, 20_000, 550, 60.0
-# : Lines of a host or its guard if the flood has delayed its work.
+#: Lines of a host or its guard after a delay by the flood.
 BROKEN = re.compile("silent|safe state|timed out after|DeviceException|lost")
 
 
 class Asker:
-    """One link: after the handshake, with all its requests ready to be sent."""
+    """A link after the handshake, with all requests encoded."""
 
     def __init__(self, address: str, tls: TlsIdentity | None) -> None:
         self._link = connected(address)
@@ -67,7 +67,7 @@ class Asker:
         self._rest = b"".join(map(self._channel.encrypt, parts))
 
     def ask(self, over: threading.Event) -> None:
-        """Send as much as is accepted, and read the answers, until the end."""
+        """Send and read as fast as the host accepts, until the end."""
         self._link.settimeout(0.05)
         while not over.is_set():
             try:

@@ -1,4 +1,4 @@
-"""`lfield estop` on a mission that flies: safe devices, unconfirmed devices, unreached hosts."""
+"""`lfield estop` on a flying mission: safe devices, unconfirmed devices, unreached hosts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-# : Each copter takes off, and then tries to release itself whenever it may.
+#: Each copter takes off, and then tries to release itself repeatedly.
 PROGRAM = """
 resource Copter {
     Mavlink fc;
@@ -47,7 +47,7 @@ agents:
 
 
 class Team:
-    """Two hosts in processes of their own; `words` are the options for the deployment and the addresses."""
+    """Two hosts in separate processes; `words` are the options for the deployment and the addresses."""
 
     def __init__(self, lfield, environment):
         deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
@@ -155,7 +155,7 @@ def test_the_descent_is_shown_until_rest_and_devices_not_at_rest_are_named(lfiel
 
 @pytest.mark.few(0)
 def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
-    """The stop ends the program, and the host ends as soon as its vehicle is on the ground."""
+    """The stop ends the program, and the host ends after its vehicle has landed."""
     program = """
     resource Copter {
         Mavlink fc;
@@ -186,7 +186,7 @@ def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
 
 
 class Kept:
-    """One host with a journal that can be killed and started again."""
+    """One host with a journal that can be killed and restarted."""
 
     def __init__(self, lfield, environment):
         devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
@@ -249,7 +249,7 @@ coordinator Ringer {
 }
 """
 BELL_DEPLOYED = "//Bell:bell@alpha\n//Ringer:tom@alpha?bell\n"
-#: A terminal whose encoding has no more than ASCII.
+#: A terminal with ASCII encoding.
 ASCII = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
 
 
@@ -277,7 +277,7 @@ def test_undecodable_bytes_do_not_prevent_commands_to_a_running_mission(lfield, 
 
 @pytest.fixture
 def half_team(lfield, alone):
-    """The arguments of commands for two hosts, of which alpha runs."""
+    """The arguments of commands for two hosts, of which only alpha runs."""
     deployment = lfield.mission(BELL, BELL_DEPLOYED + "//Bell:other@bravo\n")
     arguments = ("--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
     lfield.start("up", *arguments, "--host", "alpha", env=alone).wait_for("listening on")

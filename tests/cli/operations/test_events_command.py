@@ -1,4 +1,4 @@
-"""`lfield events` and `lfield logs` of a running team: in one order, over restarts, ended by Ctrl-C."""
+"""`lfield events` and `lfield logs` of a running team: one order, across restarts, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_all_events_come_in_one_order_with_their_causes(walk, here):
         place = places[cause["host"], cause["incarnation"], cause["number"]]
         assert whole[place]["kind"] == "left"
         assert place < places[event["host"], event["incarnation"], event["number"]]
-    # On one computer all clocks are one, and so must be the reported clocks.
+    # All hosts use the clock of one computer, so the reported clocks must be equal.
     assert all((event["within"] or 0.0) < 0.5 for event in whole)
     assert all(abs(event["time"] - event["at"]) <= (event["within"] or 0.0) + 0.01 for event in whole)
 
@@ -114,7 +114,7 @@ def test_a_closed_reader_ends_the_command_quietly(walk, lfield):
 
 
 def nth(watcher, text: str, count: int) -> None:
-    """Wait until a text was printed so often."""
+    """Wait until a text was printed `n` times."""
     end = time.monotonic() + 60.0
     while len([line for line in watcher.out if text in line]) < count:
         assert time.monotonic() < end, watcher.said
@@ -177,7 +177,7 @@ def test_unreachable_hosts_have_a_status(lfield, here):
 
 @pytest.fixture(scope="module")
 def recorders(walk, shared_lfield):
-    """Two recorders, each with its file."""
+    """Start two recorders, each with its file."""
     found = {}
     for name in ("ended", "killed"):
         file = shared_lfield.folder / f"{name}.mcap"
@@ -190,7 +190,7 @@ def recorders(walk, shared_lfield):
 
 
 def topics(reader) -> set[str]:
-    """The topics; the messages are in the order of their log times."""
+    """The topics of a file; asserts that the messages are ordered by log time."""
     found = [
         (channel.topic, message.log_time)
         for _, channel, message in reader.iter_messages(log_time_order=False)
@@ -217,7 +217,7 @@ def test_a_terminated_recorder_completes_its_file(recorders):
 def test_a_killed_recorder_leaves_a_valid_file(recorders):
     recorder, file = recorders["killed"]
     before = file.stat().st_size
-    # A flush contains all that was printed a second before it.
+    # A flush contains the output until one second before it.
     for _ in range(3):
         end = time.monotonic() + 60.0
         while file.stat().st_size == before:
@@ -261,13 +261,13 @@ coordinator Walker {
     }
 }
 """
-#: Teams of their own: that of `walk` runs meanwhile.
+#: Separate teams: the team of `walk` runs at the same time.
 FLOODED, LATER = (DEPLOYMENT.replace("q@", f"{name}@") for name in ("flooded", "later"))
 SKIPPED = re.compile(r"(\d+) (?:lines|events of kind '(\w+)') left out: too frequent$")
 
 
 def skipped(lines: list[str], kind: str | None = None) -> int:
-    """The number of skipped lines, by all messages about them."""
+    """The number of skipped lines in all messages about them."""
     found = [match for line in lines if (match := SKIPPED.search(line))]
     return sum(int(match[1]) for match in found if match[2] == kind)
 

@@ -1,4 +1,4 @@
-"""Unauthenticated connections: their cost for a host, and that its peers and observers get through."""
+"""Unauthenticated connections: their cost for a host, and the access of its peers and observers."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ resource Post { init(string[] arg) { } portal greet() { write("greeted\\n"); } }
 coordinator Guest { init(string[] arg) { findPost("near").greet(); } }
 """
 DEPLOYMENT = "//Post:near@alpha\n//Guest:tom@bravo\n//Post:far@bravo\n"
-#: Connections at a time, and what they may cost, in KiB.
+#: Connections at a time, and the limit of their memory in KiB.
 MANY, MOST = 500, 30 << 10
 
 
 class Flood:
-    """Keeps connections to a port open, each of which sends the start of a handshake and no more."""
+    """Keeps connections to a port open, each of which sends only the start of a handshake."""
 
     def __init__(self, port: int, start: bytes) -> None:
         self._port, self._start = port, start
@@ -77,7 +77,8 @@ def first_words() -> bytes:
     return out.read()
 
 
-#: The host has answered and waits for a certificate; it waits for the rest of the largest record; of a frame.
+#: States of the host: it waits for a certificate, for the rest of the largest record, for the rest of a
+#: frame.
 STARTS = {
     "a whole first word": first_words(),
     "half a record": b"\x16\x03\x01\x40\x00\x01\x00\x3f\xfc\x03\x03" + bytes(16000),

@@ -1,4 +1,4 @@
-"""The report of `lfield forget` on the answers: hosts that discarded a copy, silent hosts, or none."""
+"""The report of `lfield forget`: hosts that discarded a copy, silent hosts, or no host."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_copy_discarded_with_all_hosts_answering_is_a_success(monkeypatch, cap
 
 @pytest.mark.parametrize("other", [SILENT, ForgetResponse([])])
 def test_a_forget_without_a_discarded_copy_is_reported(monkeypatch, capsys, other):
-    # The team has continued with it between the two requests.
+    # The team has continued the coordinator between the two requests.
     error, out, _ = run(monkeypatch, capsys, IN_DOUBT, {ALPHA: ForgetResponse([]), BRAVO: other})
     assert (error.exit_status, out) == (69, "")
     assert str(error) == (

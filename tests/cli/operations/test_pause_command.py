@@ -1,4 +1,4 @@
-"""`lfield pause` and `resume` on a mission that flies."""
+"""`lfield pause` and `resume` on a flying mission."""
 
 import re
 

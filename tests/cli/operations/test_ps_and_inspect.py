@@ -1,4 +1,4 @@
-"""Views of a running mission, and of a dead agent."""
+"""Views of a running mission, and of a failed agent."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ DEPLOYMENT = "//Post:near@alpha\n//Guest:tom@alpha?near&far\n//Post:far@bravo\n"
 
 @pytest.fixture(scope="module")
 def mission(shared_lfield):
-    """A mission in which a guest stays at the other host."""
+    """A mission in which a coordinator stays at the other host."""
     deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
     team = shared_lfield.start("up", "--deploy", deployment, "--all")
     team.wait_for(r"bravo \| stays")
@@ -65,7 +65,7 @@ def told_as_json(mission, here):
 
 
 def test_the_team_is_shown_as_json(mission, here):
-    # The guest prints that it stays before its previous host has the confirmation of its arrival.
+    # The coordinator prints its arrival before its previous host receives the confirmation.
     end, hosts = time.monotonic() + 60.0, told_as_json(mission, here)
     while hosts["alpha"]["coordinators"][0]["state"] != "MOVED" and time.monotonic() < end:
         hosts = told_as_json(mission, here)
@@ -360,7 +360,7 @@ coordinator Careless {
 
 @pytest.fixture(scope="module")
 def died(shared_lfield):
-    """A mission that ended with the death of its coordinator; `dump` is what is left of that."""
+    """A mission that ended with a failure of its coordinator; `dump` is the coordinator's dump."""
     hosts = "//Careless:tom@alpha?post\n//Post:post@bravo\n"
     deployment = shared_lfield.mission(FAULTY, hosts, name="faulty")
     team = shared_lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
@@ -400,7 +400,7 @@ def test_a_damaged_dump_is_refused(lfield, here, died, damage):
 @pytest.mark.few(0)
 def test_a_dump_that_cannot_be_written_is_reported(lfield):
     (lfield.folder / "dumps").mkdir(mode=0o700)
-    (lfield.folder / "dumps" / "tom.block").mkdir()  # in the way
+    (lfield.folder / "dumps" / "tom.block").mkdir()  # blocks the path
     deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")
     done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps", status=1)
     assert any("alpha | tom not dumped to dumps/tom.block: " in line for line in done.err), done.said

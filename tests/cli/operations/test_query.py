@@ -151,8 +151,8 @@ def test_offers_are_printed_as_json(ask):
     (lift,) = whole["capabilities"]
     assert (lift["primitive"], lift["id"]) == ("Lift", "skill.material_handling.lifting")
     first, _, third, fourth = lift["offers"]
-    told = {"primitive", "agent", "host", "kind", "rule", "score", "attributes", "parts"}
-    assert set(first) == {*told, "cost", "terms", "fitness"}
+    fields = {"primitive", "agent", "host", "kind", "rule", "score", "attributes", "parts"}
+    assert set(first) == {*fields, "cost", "terms", "fitness"}
     terms = first["terms"].values()
     assert sum(term["weight"] * term["amount"] for term in terms) == pytest.approx(first["cost"])
     shares = first["fitness"].values()
@@ -194,7 +194,7 @@ def test_refusals_are_printed_as_json(ask):
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize(
-    ("query", "status", "told"),
+    ("query", "status", "message"),
     [
         (
             "Lift where paylod >= 2.0",
@@ -252,8 +252,8 @@ def test_refusals_are_printed_as_json(ask):
         ),
     ],
 )
-def test_mistakes_in_a_query_are_reported(ask, query, status, told):
-    assert ask(query) == (status, [], told)
+def test_mistakes_in_a_query_are_reported(ask, query, status, message):
+    assert ask(query) == (status, [], message)
 
 
 def test_all_mistakes_are_reported_at_once(ask):
@@ -291,12 +291,12 @@ def test_an_unknown_host_is_refused(ask):
     assert "alpha" in err[0]
 
 
-# what hosts tell, without hosts
+# answers of hosts, without hosts
 
 
 @pytest.fixture
-def told(folder, monkeypatch, capsys):
-    """`told(answers, query, *options)`: as `ask`, with these answers of the hosts."""
+def ask_with(folder, monkeypatch, capsys):
+    """`ask_with(answers, query, *options)`: as `ask`, with these answers of the hosts."""
 
     def asked(answers, query: str, *options: str) -> tuple[int, list[str], list[str]]:
         monkeypatch.setattr("lfield.operator.client.ask_teams", lambda parties, request, keys: answers)
@@ -309,57 +309,57 @@ def told(folder, monkeypatch, capsys):
 
 
 def directory(**agents):
-    told = [
+    facts = [
         DirectoryEntry(agent, why, {name: AttributeReading(*fact) for name, fact in facts.items()}, {})
         for agent, (why, facts) in agents.items()
     ]
-    return batch_of(Status("alpha", "", 0.0, b"", b"", [], [], [], [], told))
+    return batch_of(Status("alpha", "", 0.0, b"", b"", [], [], [], [], facts))
 
 
-def test_live_values_have_an_age(told):
+def test_live_values_have_an_age(ask_with):
     alpha = directory(arm1=("", {"battery": [0.5, 2.54]}))
-    status, out, err = told({"alpha": alpha}, "Lift where battery >= 0.25")
+    status, out, err = ask_with({"alpha": alpha}, "Lift where battery >= 0.25")
     assert (status, err) == (0, [])
     assert out[0] == "from the running team: 1 of 1 hosts answered"
     assert "measured 2.5 s ago: battery 0.5; stated: payload 20 kg" in out[4]
-    _, out, _ = told({"alpha": alpha}, "Lift where battery >= 0.25", "--json")
+    _, out, _ = ask_with({"alpha": alpha}, "Lift where battery >= 0.25", "--json")
     (offer,) = json.loads("\n".join(out))["capabilities"][0]["offers"]
     assert offer["attributes"]["battery"] == {"value": 0.5, "unit": "", "age": 2.54, "source": "measured"}
 
 
-def test_uncallable_agents_and_silent_hosts_are_reported(told):
+def test_uncallable_agents_and_silent_hosts_are_reported(ask_with):
     answers = {
         "alpha": directory(arm1=("motor: latched", {})),
         "bravo": AddressError("10.0.0.9:8181", "no program listens there; is its host up?"),
     }
-    status, out, err = told(answers, "Lift where speed >= 0.5", "--explain")
+    status, out, err = ask_with(answers, "Lift where speed >= 0.5", "--explain")
     assert status == 1
     assert out[0] == "from the running team: 1 of 2 hosts answered"
     assert out[6:8] == ["  arm1: motor: latched", "  arm2: its host bravo does not answer"]
     assert err == ["bravo: cannot use 10.0.0.9:8181: no program listens there; is its host up?"]
 
 
-def test_refusals_of_hosts_are_reported(told):
+def test_refusals_of_hosts_are_reported(ask_with):
     refusal = HandshakeError("alpha wants a key")
-    status, out, err = told({"alpha": refusal}, "Lift")
+    status, out, err = ask_with({"alpha": refusal}, "Lift")
     assert status == 0
     assert out[0] == "from the files: no host answered, live attributes are unknown"
     assert err == ["alpha: alpha wants a key"]
 
 
-def test_text_of_hosts_is_escaped_for_the_terminal(told):
-    _, out, _ = told({"alpha": directory(arm1=("\x1b[2J\x07 gone", {}))}, "Lift", "--explain")
+def test_text_of_hosts_is_escaped_for_the_terminal(ask_with):
+    _, out, _ = ask_with({"alpha": directory(arm1=("\x1b[2J\x07 gone", {}))}, "Lift", "--explain")
     assert "  arm1: ·[2J· gone" in out
 
 
-def test_a_query_at_a_host_fails_if_that_host_is_silent(told):
-    """Other hosts would give another answer: a late host must not change the answer."""
+def test_a_query_at_a_host_fails_if_that_host_is_silent(ask_with):
+    """Other hosts give another answer: a late host must not change the result."""
     silent = WireError("bravo does not answer in time")
     alpha = directory(arm1=("", {"battery": [0.5, 2.54]}), arm2=("unreachable for 3 s", {}))
-    status, out, err = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "bravo")
+    status, out, err = ask_with({"alpha": alpha, "bravo": silent}, "Lift", "--at", "bravo")
     assert (status, out) == (WireError.exit_status, [])
     assert "bravo does not answer in time" in err[0]
-    status, out, _ = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "alpha", "--explain")
+    status, out, _ = ask_with({"alpha": alpha, "bravo": silent}, "Lift", "--at", "alpha", "--explain")
     assert status == 0
     assert "  arm2: unreachable for 3 s" in out
 
@@ -404,7 +404,7 @@ def test_teams_are_listed(ask):
     assert (status, out[-1]) == (1, "no team can: 4 agents could be in one")
 
 
-#: The hand lifts with the mast only, so the mast is no other member.
+#: The hand lifts only with the mast, so the mast is not a separate member.
 _HAND = ["   4  arm1, hand+mast", "   5  arm2, hand+mast"]
 
 

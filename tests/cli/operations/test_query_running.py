@@ -1,4 +1,4 @@
-"""`lfield query` asks the running team."""
+"""`lfield query` for a running team."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ agents: {arm2: {payload: 1.2}}
 
 @pytest.fixture(scope="module")
 def mission(shared_lfield):
-    """A team in which a coordinator has asked, too."""
+    """A team with a coordinator that has also queried."""
     shared_lfield.write("mission.capabilities.yaml", CAPABILITIES)
     deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
     team = shared_lfield.start("up", "--deploy", deployment, "--all")
-    # The coordinator may ask before the other host is up.
+    # The coordinator may query before the other host is up.
     team.wait_for(r"bravo +\| ready")
     team.wait_for(r"boss: offers: 1")
     team.deployment = deployment

@@ -1,4 +1,4 @@
-"""`lfield recover` on real processes: the host of a coordinator is killed, and its home continues it."""
+"""`lfield recover` on real processes: the host of a coordinator is killed, and its home host continues it."""
 
 import os
 import pty

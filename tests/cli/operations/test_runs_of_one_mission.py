@@ -1,6 +1,4 @@
-"""Runs on this computer are found: two teams of one mission, a single host, and the remains of
-killed runs.
-"""
+"""Commands find the runs on a computer: two teams of a mission, a single host, remains of killed runs."""
 
 from __future__ import annotations
 
@@ -59,7 +57,7 @@ def test_a_team_is_found_after_another_of_its_mission_has_ended(lfield, own, mis
 
 @pytest.mark.few(0)
 def test_all_runs_are_listed_and_stopped_without_arguments(lfield, own, mission):
-    """Two teams, and a single host, whose team's other host does not run."""
+    """Two teams run, and a single host of a team whose other host does not run."""
     teams = [up_all(lfield, own, mission) for _ in range(2)]
     other = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"), name="other")
     alone = lfield.start(
@@ -122,7 +120,7 @@ def test_the_only_running_mission_is_queried_without_its_name(lfield, own, missi
 
 @pytest.mark.few(0)
 def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
-    """No command could stop the vehicles of such a run. The same applies to a host with keys."""
+    """No command could stop the vehicles of such a run; this also applies to a host with keys."""
     place = Path(own["XDG_RUNTIME_DIR"]) / "lfield"
     place.write_text("in the way\n")
     alone = lfield.mission(PROGRAM, "//Post:near@alpha\n", name="alone")

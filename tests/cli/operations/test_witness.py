@@ -1,4 +1,4 @@
-"""A host without agents takes part in a team of real processes, started as any other."""
+"""A host without agents is a member of a team of real processes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_a_witness_runs_and_is_shown(lfield, here):
     assert (checked.status, checked.err) == (0, [])
     team = lfield.start("up", "--deploy", deployment, "--all")
     team.wait_for(r"bravo +\| stays")
-    # The coordinator does not need this host, so it may be on its way before these links are established.
+    # The coordinator does not need this host, so it may migrate before these links are established.
     for host in ("alpha", "bravo"):
         team.wait_for(rf"ground +\| link to {host} established")
     shown = here("ps", "--deploy", deployment, status=0)

@@ -1,4 +1,4 @@
-"""The example of capabilities as its README runs it: `make test-more`. Its own tests are beside it."""
+"""The example of capabilities with the commands of its README: `make test-more`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_the_best_then_the_equivalent_then_the_composed_then_no_lift(lfield, alo
     runs = re.split(r"^Run \d: .*$", said, flags=re.M)[1:]
     lifts = [lifts_of(run) for run in runs]
     assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], said
-    # The crane and the arm are exact, a copter is not.
+    # Crane and arm are exact, a copter is not.
     assert [height for lift in lifts for host, height in lift if host != "air"] == ["0.8", "0.8"]
     assert "(direct, " in runs[0]
     assert "equivalent: climb-lifts of Climb" in runs[1]

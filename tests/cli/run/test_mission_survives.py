@@ -1,4 +1,4 @@
-"""A host with a journal that is killed in a call and started again; the example with killed hosts."""
+"""A host with a journal that is killed in a call and restarted; the example with killed hosts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RUN = Path(__file__).parents[3] / "examples" / "04-the-mission-survives" / "run.
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(400)]
 
-#: A call that lasts until its host is killed: whether the kill comes in time does not depend on the computer.
+#: A call that lasts until its host is killed, on a computer of any speed.
 PROGRAM = """
 resource Post {
     init(string[] arg) { }
@@ -66,18 +66,18 @@ def test_missions_with_killed_hosts_complete(lfield, alone):
     again, for_good = re.split("^quorum: a host that never .*$", done.stdout, flags=re.M)
     assert re.findall(r"^killed +(\w+)", again, re.M) == ["sky", "ground"]
     told = re.findall(r"^told +(.*)", again, re.M)
-    # The portal of the call depends on the moment of the kill, and that on the speed of the computer.
+    # The portal of the call depends on the time of the kill and on the speed of the computer.
     for host, resource in (("sky", "scout"), ("ground", "truck")):
         assert any(f"{host} restarted; this call may have begun ({resource}." in line for line in told)
         assert any(line.startswith(f"{resource} has restarted since") for line in told)
-    # The truck's field was lost with its computer: it counts from one again, and each call once.
+    # The truck's field was lost with its computer: it counts from one again, and counts each call once.
     assert re.findall(r"the truck has served (\d)", again) == ["1", "2"]
     assert len(re.findall("survivor: complete", again)) == 1
-    assert_it_went_on_without(for_good, again)
+    assert_completed_without(for_good, again)
 
 
-def assert_it_went_on_without(summary: str, said: str) -> None:
-    """One host did not return: its work is lost and reported, and the rest is done elsewhere."""
+def assert_completed_without(summary: str, said: str) -> None:
+    """Assert that the work of the killed host is reported lost, and other hosts complete the rest."""
     (gone,) = re.findall(r"^killed +(\w+) after .* permanently", summary, re.M)
     ((heir, seconds),) = re.findall(r"^back +on (\w+), ([\d.]+) s after the kill", summary, re.M)
     assert heir != gone

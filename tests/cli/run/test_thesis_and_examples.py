@@ -1,4 +1,4 @@
-"""The programs of the thesis and of the examples, each host a process: their output is exact."""
+"""The exact output of the programs of the thesis and of the examples, each host a process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXAMPLES = ROOT / "examples"
 
 
 def fly(lfield, deployment: Path, *options) -> dict[str, list[str]]:
-    """Run a mission to its end; the lines of each host."""
+    """Run a mission to its end; returns the lines of each host."""
     done = lfield("up", "--deploy", deployment, "--all", "--until-done", *options, status=0)
     by_host: dict[str, list[str]] = defaultdict(list)
     for line in done.out:
@@ -29,18 +29,18 @@ def fly(lfield, deployment: Path, *options) -> dict[str, list[str]]:
 
 
 def _speaker(line: str) -> str:
-    """Who wrote a line of a thesis program."""
+    """The agent that wrote a line of a thesis program."""
     return "cache" if line.startswith("Cache: ") else line.split()[0]
 
 
 def _caller(line: str) -> str | None:
-    """For whom a server wrote a line, if a server wrote it."""
+    """The caller for whom a server wrote a line, or none."""
     match = re.match(r"\w+ for (\w+) :", line)
     return match[1] if match else None
 
 
 def thesis_lines(lines: list[str]) -> dict[str, object]:
-    """The lines in the form of the expectations: by agent, a server's also by caller."""
+    """The lines by agent, and those of a server also by caller."""
     own: dict[str, list[str]] = defaultdict(list)
     served: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
     for line in lines:
@@ -71,7 +71,7 @@ def test_programs_of_the_thesis_print_their_expected_output(lfield, name):
 @pytest.mark.few(0)
 @pytest.mark.timeout(240)
 def test_the_first_flight_example_runs(lfield):
-    """The product's main job: two copters on fakes, one policy that migrates between them."""
+    """The main use case: two copters on fakes, one coordinator that migrates between them."""
     flight = lfield.start(
         "up", "--deploy", EXAMPLES / "01-first-flight" / "mission.dL", "--all", "--sim", "--until-done"
     )
@@ -88,7 +88,7 @@ def test_the_first_flight_example_runs(lfield):
     leads, wings = ([place for place in places if place[0] == name] for name in ("lead", "wing"))
     assert len(leads) == 3
     for lead, wing in zip(leads, wings, strict=True):
-        assert abs(float(lead[1]) + float(wing[1])) < 1.5, "each mirrors the other"
+        assert abs(float(lead[1]) + float(wing[1])) < 1.5, "the paths are mirrored"
         assert abs(float(lead[2]) + float(wing[2])) < 1.5
         assert abs(float(wing[3]) - float(lead[3]) - 1.5) < 1.0
     assert set(lines[-2:]) == {"lead: landed", "wing: landed"}
@@ -96,7 +96,7 @@ def test_the_first_flight_example_runs(lfield):
         r"pilot: smallest measured distance [\d.]+ m; batteries lead \d+ %, wing \d+ %", flight.said
     )
     hops = re.search(r"pilot: the coordinator migrated (\d+) times", flight.said)
-    # Takeoff, 3 legs, landing: out to begin and back to fetch; the summary ends on the other host.
+    # Takeoff, 3 legs, landing: a hop to start each and a hop to fetch; the summary ends on the other host.
     assert hops
     assert int(hops[1]) == 11
     assert lfield.left() == []
@@ -105,7 +105,7 @@ def test_the_first_flight_example_runs(lfield):
 @pytest.mark.few(0)
 @pytest.mark.timeout(240)
 def test_the_mixed_team_example_runs(lfield):
-    """Three drivers on three hosts: a parcel goes from a copter to a gripper, under the hook of a winch."""
+    """Three drivers on three hosts: a copter, a gripper and a winch transfer a parcel."""
     team = lfield.start(
         "up", "--deploy", EXAMPLES / "03-mixed-team" / "mission.dL", "--all", "--sim", "--until-done"
     )
@@ -128,9 +128,9 @@ def test_the_mixed_team_example_runs(lfield):
 @pytest.mark.few(0)
 @pytest.mark.timeout(360)
 def test_the_two_carry_one_example_runs(lfield):
-    """Two of four copters carry a beam, by a rule of the mission's, and the others bring crates.
+    """Two of four copters carry a beam, by a rule of the mission, and the others carry crates.
 
-    The ways are shorter than in the example: they are flown in real time.
+    The distances are shorter than in the example, because the flights run in real time.
     """
     shutil.copytree(EXAMPLES / "05-two-carry-one", lfield.folder / "example")
     deployment = lfield.folder / "example" / "mission.dL"

@@ -1,4 +1,4 @@
-"""A mission in a folder with a user's own Python files: none of them is imported."""
+"""A mission in a folder with other Python files, none of which is imported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ coordinator Pilot {
 
 @pytest.mark.few(0)
 def test_python_files_beside_a_mission_are_not_imported(here, lfield):
-    """Neither of the hosts, nor of their guards, fakes and compilers, nor of what builds the bundle."""
+    """The rule holds for hosts, guards, fakes, compilers, and the build of the bundle."""
     deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n")
     for module in ("random", "heapq", "ctypes", "wasmtime", "uvloop", "pymavlink"):
         lfield.write(

@@ -31,7 +31,7 @@ coordinator Pilot {
     }
 }
 """
-# : Loaded by Python before anything else: soon after the line of the coordinator the host's core fails.
+#: Loaded at the start of Python: the host's core fails soon after the line of the coordinator.
 BROKEN = """
 import lfield.host.core as core
 import lfield.host.team.host_services as world
@@ -76,7 +76,7 @@ def test_guards_of_a_killed_host_log_json_lines_with_its_name(lfield):
     lines = [json.loads(line) for line in team.out]
     codes = {line["code"] for line in lines if line["host"] == "bravo"}
     assert "host-killed" in codes
-    # The fake of the device has ended with the host: its guard reports the lost link.
+    # The fake of the device ends with the host: the guard reports the lost link.
     assert codes & {"mavlink-link-lost", "endpoint-lost"}, codes
     assert ("device-safe" in codes) != ("device-unconfirmed" in codes)
     assert not any("wing.fc" in line for line in team.err)
@@ -87,7 +87,7 @@ def test_guards_of_a_killed_host_log_json_lines_with_its_name(lfield):
 def test_a_confirmation_of_the_guard_replaces_the_line_of_the_launcher(
     as_json, is_confirmed, capsys, monkeypatch
 ):
-    """The exit status is that of an unsafe device either way: a safe state is not yet rest."""
+    """The exit status is always that of an unsafe device: a device in its safe state may still move."""
     monkeypatch.setattr(up_all, "CONFIRMATION_TIMEOUT", 5.0 if is_confirmed else 0.0)
     device = SimpleNamespace(name="lead.fc", is_sensor=False)
     launcher = object.__new__(up_all._HostProcesses)

@@ -1,4 +1,4 @@
-"""Real processes with cut links, killed processes, or without records: their messages and exit statuses."""
+"""Messages and exit statuses of real processes with cut links, killed processes, or missing records."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ POSTS = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@carol\n"
 
 
 class Proxy:
-    """Forwards TCP to a port until it is cut: then what is open breaks, and nothing new gets through."""
+    """Forwards TCP to a port until it is cut: then open connections break, and new ones fail."""
 
     def __init__(self, port: int) -> None:
         self._target = port
@@ -103,7 +103,7 @@ def proxies() -> Iterator[list[Proxy]]:
 
 @pytest.mark.few(0)
 def test_a_cut_link_to_a_live_coordinator_is_no_loss(lfield, proxies):
-    """Of a triangle: alpha calls carol through a proxy, and the walker is on carol, the far side."""
+    """In a triangle of hosts alpha connects to carol through a proxy, and the walker is on carol."""
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&12\n")
     ports = dict(zip(HOSTS, lfield.ports.take(3), strict=True))
     proxies.append(proxy := Proxy(ports["carol"]))
@@ -143,7 +143,7 @@ def test_a_hanging_child_of_all_is_unreachable(lfield):
     team.wait_for(r"carol \| c receives")
     hung = lfield.child("carol")
     os.kill(hung, signal.SIGSTOP)
-    # The first host to detect it reports it, and the team ends with that: the other may not report it too.
+    # The first host that detects the loss reports it and ends the team, so the other may not report it.
     team.wait_for(
         r"(alpha|bravo) \| walker unreachable, .*: it moved to carol \(transfer 1\), and carol has been "
     )
@@ -152,7 +152,7 @@ def test_a_hanging_child_of_all_is_unreachable(lfield):
     assert "walker lost: " not in team.said
 
 
-#: A new start does not wait for bravo as such, since it has no resources.
+#: A new start does not wait for bravo, which has no resources.
 ONE_AWAY = "//Post:a@alpha\n//Walker:walker@alpha?a&0.01\n//@bravo\n"
 
 

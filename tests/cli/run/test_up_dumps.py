@@ -1,4 +1,4 @@
-"""Dumps of dead agents: in a private folder of the user, and never on a blocking file."""
+"""Dumps of failed agents: in a private folder of the user, and not in a blocking file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEPLOYMENT = "//Careless:tom@alpha\n//Careful:ann@alpha\n"
 
 @pytest.fixture
 def run(lfield):
-    """`run()`: the mission to its end, with `--dump dumps`."""
+    """`run()`: run the mission to its end with `--dump dumps`."""
 
     def to_the_end():
         words = ("up", "--deploy", lfield.mission(DIES, DEPLOYMENT), "--host", "alpha", "--until-done")

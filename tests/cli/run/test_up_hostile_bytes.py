@@ -45,7 +45,7 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def alpha(shared_lfield):
-    """A host that all these tests send to, and the maps of its team."""
+    """A host that receives the bytes of all these tests, and the maps of its team."""
     deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
     maps = shared_lfield.maps(["alpha", "bravo"])
     host = shared_lfield.start("up", "--deploy", deployment, "--host", "alpha", *maps)
@@ -60,7 +60,7 @@ def connect(host) -> socket.socket:
 
 
 def connect_as(host, name: str) -> socket.socket:
-    """A connection with valid keys, before the handshake of lfield."""
+    """A TLS connection with valid keys, before the Hello."""
     keys = host.keys.folder / name
     kind = "person" if name == "me" else "host"
     context = ssl.create_default_context(cafile=keys / "authority.pem")
@@ -70,7 +70,7 @@ def connect_as(host, name: str) -> socket.socket:
 
 
 def drain(sock: socket.socket) -> bytes:
-    """The bytes of the host until it closes."""
+    """The bytes of the host until it closes the connection."""
     said = b""
     try:
         while chunk := sock.recv(65536):
@@ -81,12 +81,12 @@ def drain(sock: socket.socket) -> bytes:
 
 
 def frames(data: bytes) -> list:
-    """The messages in some bytes."""
+    """Decode the messages in some bytes."""
     decoder = FrameDecoder(dict.fromkeys(range(8), 1 << 20))
     return [decode(kind, payload) for kind, payload in decoder.feed(data)]
 
 
-def told(host, words: str) -> None:
+def await_close_line(host, words: str) -> None:
     """Wait for the host's log line on a closed connection."""
     host.wait_for(f"^link from 127[.]0[.]0[.]1 closed: {re.escape(words)}")
 
@@ -97,7 +97,7 @@ def test_an_unauthenticated_peer_with_bad_bytes_gets_no_reply(alpha, name):
     with connect(alpha) as sock:
         sock.sendall(CASES[name][0])
         assert drain(sock) == b""
-    told(alpha, NO_TLS)
+    await_close_line(alpha, NO_TLS)
     assert alpha.popen.poll() is None
 
 
@@ -105,7 +105,7 @@ def test_an_unauthenticated_tls_client_gets_no_data_of_the_host(alpha):
     with connect(alpha) as sock:
         sock.sendall(bytes.fromhex("16030100c6010000c20303") + bytes(192))
         assert b"alpha" not in drain(sock)
-    told(alpha, "received data is not TLS 1.3, or was corrupted in transit")
+    await_close_line(alpha, "received data is not TLS 1.3, or was corrupted in transit")
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     with (
@@ -113,7 +113,7 @@ def test_an_unauthenticated_tls_client_gets_no_data_of_the_host(alpha):
         pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"),
     ):
         sock.recv(1)
-    told(alpha, "peer sent no certificate")
+    await_close_line(alpha, "peer sent no certificate")
 
 
 @pytest.mark.few(2)
@@ -123,7 +123,7 @@ def test_bad_bytes_of_a_host_close_one_link_and_are_logged(alpha, name):
     with connect_as(alpha, "bravo") as sock:
         sock.sendall(data)
         assert drain(sock) == b""
-    told(alpha, words)
+    await_close_line(alpha, words)
     assert alpha.popen.poll() is None
 
 
@@ -133,14 +133,14 @@ def test_a_truncated_frame_is_logged(alpha):
         sock.sendall(whole[: len(whole) // 2])
         sock.shutdown(socket.SHUT_WR)
         drain(sock)
-    told(alpha, "peer closed the link in the middle of a message")
+    await_close_line(alpha, "peer closed the link in the middle of a message")
 
 
 def test_a_handshake_copied_from_another_host_is_refused(alpha):
-    """The hashes in it are no secret among hosts; the certificate proves the name."""
+    """The hashes of a Hello are known to all hosts; only the certificate proves the name."""
     with connect_as(alpha, "bravo") as sock:
         sock.sendall(encode(Hello("observer", "observer", 0)))
-        # What the host says next may come in the same bytes.
+        # The next message of the host may be in the same bytes.
         hello = frames(sock.recv(65536))[0]
     assert hello.host == "alpha"
     for name, who in (("bravo", "host bravo calls itself alpha"), ("me", "operator may only send commands")):
@@ -160,7 +160,7 @@ def test_a_repeated_error_of_a_peer_is_logged_once(alpha):
         sock.sendall(b"STOP" * 3)
         drain(sock)
     # The last error is logged last.
-    told(alpha, f"{NOT_OURS}: a frame of kind 83")
+    await_close_line(alpha, f"{NOT_OURS}: a frame of kind 83")
     assert sum("a frame of kind 50" in line for line in alpha.err) == 1
 
 
@@ -173,6 +173,6 @@ def test_a_half_open_handshake_blocks_no_peer_and_is_closed(alpha, shared_lfield
         )
         assert ringer.popen.returncode == 0, ringer.said
         alpha.wait_for("^ring$")
-        told(alpha, "it has not greeted within 10 s")
+        await_close_line(alpha, "it has not greeted within 10 s")
         assert drain(sock) == b""
     assert alpha.popen.poll() is None

@@ -1,4 +1,4 @@
-"""`up` on a slow computer: fakes continue to fly, hardware is not opened."""
+"""`up` on a slow computer: simulated vehicles continue to fly, hardware is not opened."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ agents:
 @pytest.mark.few(0)
 @pytest.mark.process
 def test_a_simulated_team_survives_half_a_second_without_a_processor(lfield):
-    """The devices file asks for 0.1 s in the field, which a busy computer cannot keep. One process after the
-    other is stopped: hosts, guards, fakes. The copter hovers.
+    """The devices file allows 0.1 s of silence in the field, which a busy computer cannot keep.
+
+    Hosts, guards and fakes are stopped in sequence. The copter hovers.
     """
     program = PROGRAM.replace("copter.land();", "sleep(8.0); copter.land();")
     deployment = lfield.mission(program, DEPLOYMENT, HARDWARE)
@@ -69,9 +70,9 @@ def test_a_host_too_slow_for_its_bindings_does_not_start(here, lfield, monkeypat
     monkeypatch.setattr(event_loop, "may_raise_timer_priority", lambda: False)
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, HARDWARE)
     up = here("up", "--deploy", deployment, "--host", "alpha", *lfield.maps(["alpha", "bravo"]), status=69)
-    # A computer that is late in earnest may have more to say, before and after this.
+    # A really late computer may print more lines, before and after this one.
     (said,) = [line for line in up.err if line.startswith("'silence: 0.1' is too short for this computer")]
-    # By more than the 0.12 s, if the computer is late in earnest while it is measured.
+    # More than 0.12 s, if the computer is really late during the measurement.
     assert re.search(r"are up to [\d.]+ s late, and the shortest possible silence is ", said)
     assert "reduce the load of this computer, give its guards real-time priority" in said
     assert re.search(r"or write 'silence: [\d.]+' if ", said)

@@ -1,4 +1,4 @@
-"""Processes that are stopped, killed or orphaned: the reactions of the others, and the exit statuses."""
+"""Stopped, killed or orphaned processes: the reactions of the other processes, and the exit statuses."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_hosts_are_started_by_hand_in_any_order(lfield, order):
     assert by_name["bravo"].out == ["far receives", "far lets go"]
 
 
-#: The time-outs are tried on virtual time: tests/simulate/test_fleet_census.py.
+#: tests/simulate/test_fleet_census.py tests the time-outs in virtual time.
 @pytest.mark.few(0)
 def test_a_coordinator_on_a_killed_host_has_an_unknown_outcome(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
@@ -119,7 +119,7 @@ def test_a_program_that_handles_a_dead_host_continues(lfield):
     hosts = lfield.hosts(
         deployment, ["alpha", "bravo"], "--until-done", "--lost-after", "5", "--unreachable-after", "1"
     )
-    # It is back at alpha and sleeps, so the kill takes only the other host's resource away.
+    # The coordinator sleeps at alpha, so the kill removes only the other host's resource.
     hosts["bravo"].wait_for("far lets go")
     for _ in range(2):
         hosts["alpha"].wait_for("near lets go")
@@ -161,17 +161,17 @@ def test_ctrl_c_in_flight_lands_the_copters_before_the_hosts_end(lfield):
 def test_a_killed_child_with_an_unconfirmed_vehicle_sets_the_exit_status(lfield):
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
-    # In the air: a vehicle on the ground may be seen at rest before its fake has ended.
+    # In the air: a vehicle on the ground may be reported at rest before its fake has ended.
     team.wait_for("wing: at ")
     os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 3
     assert "bravo | bravo killed (SIGKILL)" in team.err
-    # Its fake may confirm the safe state before it ends.
+    # The fake may confirm the safe state before it ends.
     confirmed = "bravo | wing.fc in safe state 'land': the host is gone" in team.err
     unconfirmed = "bravo | wing.fc safe state not confirmed: host killed (SIGKILL)" in team.err
     assert confirmed != unconfirmed, team.said
     assert "NOT SAFE" not in team.said
-    # Its fake has gone with it, but what that stands for would not: the guard goes on trying.
+    # The fake ends with the host. A real device would not, so the guard keeps trying.
     assert lfield.left() == lfield.guards() != []
 
 
@@ -186,7 +186,7 @@ def test_guards_and_fakes_inherit_no_descriptors_of_their_host(lfield):
     others = lfield.guards() + lfield.running("lfield.driver.sims")
     assert len(others) == 4
     for other in others:
-        # Pipes are for talking to them. The lock of the run is in its folder.
+        # Pipes are for communication with the host. The lock of the run is in its folder.
         shared = descriptors(host) & descriptors(other)
         assert [name for name in shared if not name.startswith(("pipe:", "anon_inode:", "/dev/"))] == []
     os.kill(host, signal.SIGKILL)
@@ -244,7 +244,7 @@ def test_a_mission_that_dies_ends_with_1(lfield):
 
 
 def test_a_port_in_use_is_reported_and_no_journal_is_made(lfield, tmp_path):
-    # The first one may still run, though its folder was moved: no new one may be made in its place.
+    # The first run may still be active although its folder was moved: a new one must not replace it.
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     lfield.keys.give("alpha")
     state = ("--state", tmp_path / "state")

@@ -1,4 +1,4 @@
-"""Program output on a terminal: control characters are shown as escapes; elsewhere it goes out unchanged."""
+"""Program output on a terminal: control characters are escaped; in pipes and files they are unchanged."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_program_cannot_control_the_terminal(lfield, options):
 
 
 def test_a_bundle_cannot_control_the_terminal(lfield):
-    """The endpoint of a device is any path, and commands print it."""
+    """The endpoint of a device can be any path, and commands print it."""
     program = (
         "resource Arm { Mavlink fc; init(string[] arg) { } }\ncoordinator Boss { init(string[] arg) { } }"
     )

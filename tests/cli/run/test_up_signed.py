@@ -1,4 +1,4 @@
-"""Hosts with keys run bundles signed by a person with the right, and `ps` shows the signer."""
+"""Hosts with keys run only bundles signed by a person with the right; `ps` shows the signer."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) ->
     lfield.keys.put("me", lfield.keys.made("person", "carl", Right.COMMAND))
     lfield.keys.sign(lfield.folder / "mission.lfm")
     lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
-    # The other one has the devices of the bundle.
+    # The other run has the devices of the bundle.
     hosts = [lfield.start(*words, "--host", "alpha"), lfield.start(*words[:-2], "--host", "bravo")]
     assert [host.wait() for host in hosts] == [0, 0]
 

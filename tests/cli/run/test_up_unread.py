@@ -1,4 +1,4 @@
-"""Unread output (Ctrl-S, a stuck ssh, `| sleep 1000`) blocks no host: it continues to fly, and answers."""
+"""Unread output (Ctrl-S, a stuck ssh, `| sleep 1000`) blocks no host: the vehicle flies, the host answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-# : A copter that flies, and a program whose output exceeds a pipe on both streams.
+#: A flying copter, and a program whose output exceeds a pipe on both streams.
 PROGRAM = """
 resource Copter {
     Mavlink fc;
@@ -46,7 +46,7 @@ agents:
 
 @pytest.fixture
 def unread():
-    """Both ends of a pipe; the writer has it as stdout and stderr."""
+    """Both ends of a pipe for stdout and stderr of the writer."""
     reading, writing = os.pipe()
     yield reading, writing
     for descriptor in (reading, writing):
@@ -54,10 +54,10 @@ def unread():
 
 
 def filled(reading: int) -> None:
-    """Wait until the pipe is full, and some more output was written."""
+    """Wait until the pipe is full and more output was written."""
     end, before = time.monotonic() + 60, -1
     while (now := waiting(reading)) < 30000 or now != before:
-        assert time.monotonic() < end, f"only {now} bytes came"
+        assert time.monotonic() < end, f"only {now} bytes received"
         before = now
         time.sleep(1.0)
     time.sleep(1.0)
@@ -98,7 +98,7 @@ def test_a_host_with_unread_output_continues_to_fly_and_answers(lfield, alone, u
     lines = read_some(reading)
     assert any(re.search(rb"[1-9][0-9]* line\(s\) (of program output )?missing", line) for line in lines)
     said = [line for line in lines if b"..." in line and b"missing" not in line]
-    assert all(line.endswith(b" end") for line in said), "lines come whole"
+    assert all(line.endswith(b" end") for line in said), "a line is incomplete"
 
     filled(reading)
     before = time.monotonic()

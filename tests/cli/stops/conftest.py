@@ -9,7 +9,7 @@ from groups import Group
 
 @pytest.fixture
 def flight(alone, lfield):
-    """`flight(**options)`: a copter in the air under a host of its own."""
+    """`flight(**options)`: a flying copter with its own host."""
     made: list[Flight] = []
 
     def begin(**options) -> Flight:

@@ -1,4 +1,4 @@
-"""Copters in the air under real hosts: fakes of their own that outlive every host, each with a witness."""
+"""Flying copters under real hosts: separate fakes that outlive every host, each with an observer."""
 
 from __future__ import annotations
 
@@ -55,18 +55,18 @@ def copter(lfield, environment, land=BRISK) -> str:
 
 
 def landed(witness: MavlinkObserver, bound: float = BOUND) -> None:
-    """Wait until a vehicle says that it is down, its motors off."""
+    """Wait until a vehicle reports that it has landed with its motors off."""
     witness.until(lambda seen: not seen.armed and seen.height < 0.3, bound)
 
 
-def signal_in_a_hurry(process, *numbers: signal.Signals) -> None:
-    """Send different signals that the process receives at the same time, on any load."""
+def signal_at_once(process, *numbers: signal.Signals) -> None:
+    """Send different signals that the process receives at the same time under any load."""
     for number in (signal.SIGSTOP, *numbers, signal.SIGCONT):
         process.signal(number)
 
 
 class Flight:
-    """A copter in the air under one host. `options` are for `lfield up`, `started` for its process."""
+    """A flying copter under one host. `options` are for `lfield up`, `started` for its process."""
 
     def __init__(
         self,
@@ -94,30 +94,30 @@ class Flight:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where its host listens."""
+        """The address of the host."""
         host, _, port = self.command[-1].partition("=")[2].rpartition(":")
         return host, int(port)
 
     @property
     def guard(self) -> int:
-        """The process of its guard."""
+        """The pid of the guard."""
         guards = self._lfield.guards()
         assert guards, self.host.said
         return guards[0]
 
     def kill_guard(self) -> None:
-        """End its guard by force."""
+        """Kill the guard."""
         os.kill(self.guard, signal.SIGKILL)
 
     def has_a_guard_again(self, *, after: int) -> None:
-        """Wait for a guard that is another process."""
+        """Wait for a new guard process."""
         end = time.monotonic() + BOUND
         while not set(self._lfield.guards()) - {after}:
             assert time.monotonic() < end, self.host.said
             time.sleep(0.05)
 
     def ask(self, *words: str):
-        """A command to its host: what it said, and its status."""
+        """Send a command to the host; returns its output and exit status."""
         return self._lfield(*words[:1], *self.command, *words[1:], env=self.environment)
 
     def fault(self, *settings: str) -> None:
@@ -131,5 +131,5 @@ class Flight:
         self.landed()
 
     def landed(self) -> None:
-        """Wait until the vehicle says that it is down, its motors off."""
+        """Wait until the vehicle reports that it has landed with its motors off."""
         landed(self.witness)

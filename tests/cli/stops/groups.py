@@ -1,4 +1,4 @@
-"""Control groups of Linux: the limits of a kernel on processes."""
+"""Linux control groups: the kernel's limits on processes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-#: Where a controller's groups are, and the file with its limit: in version 1 and in version 2.
+#: The folder of a controller's groups, and the file of its limit, for versions 1 and 2.
 PLACES = {
     "memory": (("memory", "memory.limit_in_bytes"), ("", "memory.max")),
     "pids": (("pids", "pids.max"), ("", "pids.max")),
@@ -16,7 +16,7 @@ PLACES = {
 
 
 class Group:
-    """A group of a test's own, for processes that it has started; where none may be made it is skipped."""
+    """A control group for processes of a test; without the right to create one the test is skipped."""
 
     def __init__(self, controller: str) -> None:
         self._folder, self._limit = Path(), ""
@@ -35,13 +35,13 @@ class Group:
         pytest.skip(why)
 
     def bound(self, limit: int, *pids: int) -> None:
-        """Put processes into it, and allow them so much, together; of memory, beyond what they have."""
+        """Add processes and set their common limit; a memory limit is in addition to their current use."""
         for pid in pids:
             (self._folder / "cgroup.procs").write_text(str(pid))
         (self._folder / self._limit).write_text(str(limit))
 
     def remove(self) -> None:
-        """Remove it, as soon as the processes in it that were killed have gone."""
+        """Remove the group after its killed processes have ended."""
         end = time.monotonic() + 60
         while self._folder.is_dir():
             try:

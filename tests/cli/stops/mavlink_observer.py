@@ -16,14 +16,14 @@ class MavlinkObserver:
     """Watches system 1 at a fake's UDP endpoint; times are of the monotonic clock, heights in metres."""
 
     def __init__(self, endpoint: str) -> None:
-        # Not the station that the autopilot listens to: its heartbeats must not keep a failsafe content.
+        # Not the autopilot's ground station: these heartbeats must not prevent a failsafe.
         self._link = mavutil.mavlink_connection(
             endpoint.replace("udp:", "udpout:"), source_system=77, source_component=190
         )
         self._changed, self._ended = threading.Condition(), False
         self.mode, self.armed, self.height = "", False, 0.0
         self._answers = 0
-        #: Every mode that it was in, and how high it was when that began.
+        #: Every mode of the vehicle, with the height at its start.
         self.modes: list[tuple[float, str]] = []
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
@@ -61,13 +61,13 @@ class MavlinkObserver:
             self.height = message.relative_alt / 1000.0
 
     def take_over(self, mode: str) -> None:
-        """Take the vehicle over, as a pilot does by choosing a mode."""
+        """Take over the vehicle by a change of mode, as a pilot does."""
         number = next(number for number, name in mavutil.mode_mapping_acm.items() if name == mode)
         self._link.mav.set_mode_send(1, dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, number)
         self.until(lambda seen: seen.mode == mode)
 
     def catch_up(self) -> None:
-        """Wait until all that the vehicle has sent before is here: a busy computer reads it late."""
+        """Wait for the messages that the vehicle has already sent: a busy computer reads them late."""
         before = self._answers
         self._link.mav.command_long_send(
             1, 1, dialect.MAV_CMD_REQUEST_MESSAGE, 0, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, *[0.0] * 6
@@ -75,13 +75,13 @@ class MavlinkObserver:
         self.until(lambda seen: seen._answers > before)
 
     def until(self, condition, bound: float = BOUND) -> None:
-        """Wait until a condition of this witness holds."""
+        """Wait until a condition of this observer holds."""
         with self._changed:
             seen = self._changed.wait_for(lambda: condition(self), bound)
         assert seen, f"mode {self.mode}, {'armed' if self.armed else 'not armed'}, {self.height:.1f} m up"
 
     def close(self) -> None:
-        """Watch no longer."""
+        """Stop observing."""
         self._ended = True
         self._thread.join(5.0)
         self._link.close()

@@ -13,7 +13,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-# : Loaded by Python before anything else: the loop of Python, where uvloop is not installed.
+#: Loaded at the start of Python: hides uvloop, so that Python's event loop is used.
 WITHOUT_UVLOOP = "import sys\nsys.modules['uvloop'] = None\n"
 # : Unauthenticated connections.
 STRANGERS = 30
@@ -21,7 +21,7 @@ STRANGERS = 30
 
 @pytest.fixture(params=["uvloop", "asyncio"])
 def starved(request, flight, lfield):
-    """`starved(spare)`: a copter in the air under a host with so many free descriptors."""
+    """`starved(spare)`: a flying copter under a host with `spare` free descriptors."""
 
     def begin(spare: int, **options):
         if request.param == "asyncio":
@@ -35,7 +35,7 @@ def starved(request, flight, lfield):
 
 
 def leave_descriptors(pid: int, spare: int) -> None:
-    """Leave so many free descriptors to a running process."""
+    """Limit the free descriptors of a running process."""
     taken = {int(entry.name) for entry in Path(f"/proc/{pid}/fd").iterdir()}
     free = [number for number in range(len(taken) + spare + 1) if number not in taken]
     _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
@@ -43,7 +43,7 @@ def leave_descriptors(pid: int, spare: int) -> None:
 
 
 def knock(stack: ExitStack, address: tuple[str, int], count: int = STRANGERS) -> None:
-    """Connect so often, send nothing, and stay connected."""
+    """Open connections that send nothing, and keep them open."""
     for _ in range(count):
         stack.enter_context(socket.create_connection(address, timeout=60.0))
 
@@ -100,7 +100,7 @@ def test_a_guard_never_restarted_is_named_and_its_vehicle_lands_by_failsafe(star
     assert flown.host.wait() == 3, flown.host.said
     (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
     assert line.startswith("lead.fc NOT SAFE: its safe state was not confirmed")
-    # The autopilot's own failsafe: its station is gone.
+    # The autopilot's own failsafe: its ground station is lost.
     flown.landed()
 
 

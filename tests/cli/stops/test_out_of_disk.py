@@ -11,7 +11,7 @@ from mavlink_observer import MavlinkObserver
 
 pytestmark = pytest.mark.process
 
-# : Two that die, the second after the disk is full.
+#: Two agents that fail, the second after the disk is full.
 DYING = (
     PROGRAM
     + """
@@ -22,7 +22,7 @@ AGENTS = "//Careless:tom@alpha?10.0\n"
 
 
 def fill(pid: int) -> None:
-    """From now on a running process finds every disk full; Python ignores the signal for it."""
+    """Make every disk full for a running process; Python ignores the signal of the limit."""
     _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, hard))
 
@@ -55,7 +55,7 @@ def test_a_dump_on_a_full_disk_is_reported_and_the_flight_continues(lfield, flig
     fill(flown.host.pid)
     flown.host.wait_for("^tom not dumped to dumps/tom.block: cannot write dumps/tom.block: File too large")
     assert flies(flown.witness)
-    assert list((lfield.folder / "dumps").iterdir()) == [], "nothing half written is left"
+    assert list((lfield.folder / "dumps").iterdir()) == [], "a partial file is left"
     flown.host.signal(signal.SIGTERM)
     assert flown.host.wait() == 0, flown.host.said
     flown.is_down()
@@ -64,7 +64,7 @@ def test_a_dump_on_a_full_disk_is_reported_and_the_flight_continues(lfield, flig
 @pytest.mark.few(1)
 @pytest.mark.parametrize("options", [(), ("--volatile",)])
 def test_a_team_that_cannot_store_its_manifest_does_not_fly(lfield, alone, options):
-    """No command could find it to stop it."""
+    """No command could find such a team to stop it."""
     endpoint = copter(lfield, alone)
     file = lfield.mission(PROGRAM, DEPLOYMENT.format(stay="1000"), devices({"lead": endpoint}, 60.0))
     lfield("build", file, status=0)

@@ -1,5 +1,5 @@
-"""No memory for a host, its guard, or both, while the copter flies: it is safe within seconds. A thread
-planted into one of the two allocates all it can get.
+"""No memory for a host, its guard, or both, while the copter flies: the copter is safe within seconds. A
+planted thread in one of the two processes allocates all available memory.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from copter_flight import DEPLOYMENT, PROGRAM
 
 pytestmark = pytest.mark.process
 
-#: Words in the command lines of the two.
+#: Words in the command lines of the two processes.
 HOST, GUARD = "up", "lfield.guard.process"
-# : Loaded by Python before anything else. It waits for a file and removes it, so that it happens once.
+#: Loaded at the start of Python. The thread waits for a file and removes it, so that the leak occurs once.
 LEAK = """
 import os, resource, sys, threading, time
 
@@ -43,7 +43,7 @@ def eat():
 if {victim!r} in sys.orig_argv:
     threading.Thread(target=eat, daemon=True).start()
 """
-#: When a file is there, nothing more is to be had for the core of the host.
+#: Every allocation of the host's core fails after a file is created.
 REFUSED = """
 import os
 import lfield.host.core as core
@@ -63,7 +63,7 @@ MIB = 1 << 20
 
 
 class Leaking:
-    """A copter in the air; `starve` begins a leak in one of its processes."""
+    """A flying copter; `starve` starts a leak in one of its processes."""
 
     def __init__(self, flight, lfield, victim: str, **options):
         self._file = lfield.folder / "leak"
@@ -71,13 +71,13 @@ class Leaking:
         self.flown = flight(env={"PYTHONPATH": str(lfield.folder / "leaks")}, **options)
 
     def starve(self, bound: int) -> None:
-        """Begin, with so many bytes that the process may take in addition; 0 leaves that to others."""
+        """Start the leak with a limit of additional bytes; 0 sets no limit."""
         whole = self._file.with_suffix(".new")
         whole.write_text(str(bound))
         whole.rename(self._file)
 
     def lands(self) -> None:
-        """Wait until the vehicle lands, which is soon, and has landed."""
+        """Wait until the vehicle starts to land, and has landed."""
         self.flown.witness.until(lambda seen: seen.mode == "LAND", SOON)
         self.flown.landed()
 
@@ -96,12 +96,12 @@ def test_a_host_without_memory_ends_with_70_and_its_copter_on_the_ground(flight,
 def test_the_copter_of_a_host_with_exhausted_memory_lands(flight, lfield):
     leaking = Leaking(flight, lfield, HOST, within=2.0)
     leaking.starve(2 * MIB)
-    # A request, for an idle host may continue; the answer needs memory.
+    # An idle host may continue, so a request is sent: the answer needs memory.
     with suppress(AssertionError):
         leaking.flown.ask("ps")
     leaking.flown.host.signal(signal.SIGTERM)
     leaking.lands()
-    # In order, or by a failure of a library, or by the kernel at the end.
+    # The process ends in order, by a failure of a library, or by the kernel.
     leaking.flown.host.popen.wait(60)
 
 
@@ -116,7 +116,7 @@ def test_a_guard_with_exhausted_memory_ends_and_the_next_one_lands_the_copter(fl
     assert leaking.flown.host.wait() == 0, leaking.flown.host.said
 
 
-# : Each of them allocates as much as it may, all at once.
+#: All processes allocate up to their limits at the same time.
 GREEDY = """
 class Link {
     public Link next;

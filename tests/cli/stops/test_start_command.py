@@ -55,7 +55,7 @@ def test_a_start_waits_until_the_operator_leaves_out_the_missing_host(lfield, he
     assert here("start", "mission.lfm", *maps, "--without", "bravo").out == [
         "alpha: no coordinator waits to be started"
     ]
-    # The host that was left out comes later, and joins.
+    # The host that was left out starts later, and joins.
     bravo = lfield.start("up", "mission.lfm", *maps, "--host", "bravo", "--first-start")
     bravo.wait_for("^here$")
 

@@ -1,5 +1,5 @@
-"""Every way to stop a flying host: the vehicle's behaviour, the named devices, the exit status. The vehicle
-is a fake of its own that outlives the host, and a second client observes it.
+"""Every way to stop a host in flight: the vehicle's behaviour, the named devices, the exit status. The
+vehicle is a separate fake that outlives the host, and a second client observes it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import signal
 import time
 
 import pytest
-from copter_flight import SLOW, SLOWEST, signal_in_a_hurry
+from copter_flight import SLOW, SLOWEST, signal_at_once
 
 pytestmark = pytest.mark.process
 
@@ -57,8 +57,8 @@ def test_a_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here,
     for name, value in alone.items():
         monkeypatch.setenv(name, value)
     flown.host.signal(how)
-    # It was above 2 m, so below 1.8 m it sinks; seven seconds are left to the ground.
-    # They would not be enough for a process that has yet to start on a busy computer.
+    # The copter was above 2 m, so below 1.8 m it descends; it lands in seven seconds.
+    # This is too short for the start of a process on a busy computer.
     flown.witness.until(lambda seen: seen.mode == "LAND" and seen.height < 1.8)
     result = here("ps", *flown.command, status=0)
     shown = "\n".join(result.out)
@@ -72,7 +72,7 @@ def test_a_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here,
 
 def test_a_second_signal_at_once_is_ignored_and_a_later_one_ends_the_wait(flight):
     flown = flight(land=("--land", "0.1", "--descend", "0.1"))
-    signal_in_a_hurry(flown.host, signal.SIGINT, signal.SIGTERM)
+    signal_at_once(flown.host, signal.SIGINT, signal.SIGTERM)
     flown.host.wait_for("waiting for its devices to come to rest; a second Ctrl-C or SIGTERM")
     flown.host.wait_for("lead.fc still moving: .* up")
     assert flown.host.popen.poll() is None
@@ -92,7 +92,7 @@ def test_a_guard_ignores_signals_while_its_host_lives(flight):
         flown.host.wait_for(f"{number.name} ignored: the guard ends with its host")
     assert flown.guard == guard
     assert flown.witness.mode == "GUIDED"
-    # A service manager signals the whole group at once.
+    # A service manager signals all processes of the group.
     flown.host.signal(signal.SIGTERM)
     os.kill(guard, signal.SIGTERM)
     assert flown.host.wait() == 0, flown.host.said
@@ -133,5 +133,5 @@ def test_a_vehicle_under_pilot_control_is_left_alone_and_named(flight):
     assert flown.host.wait() == 3, flown.host.said
     (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
     assert "flown by a pilot in LOITER, " in line
-    # Its position proves nothing by then: without a transmitter an ArduCopter sinks in LOITER.
+    # The position is no evidence: without a transmitter an ArduCopter descends in LOITER.
     assert flown.witness.mode == "LOITER"

@@ -1,5 +1,5 @@
-"""A team that flies under `up --all`, and every way to end it: the vehicles' behaviour. The vehicles are
-fakes of their own that outlive all processes, each with a second client that observes it.
+"""A flying team under `up --all`, and every way to end it: the vehicles' behaviour. The vehicles are separate
+fakes that outlive all processes, each with a second client that observes it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import threading
 import time
 
 import pytest
-from copter_flight import BRISK, SLOW, copter, devices, landed, signal_in_a_hurry
+from copter_flight import BRISK, SLOW, copter, devices, landed, signal_at_once
 from mavlink_observer import MavlinkObserver
 
 pytestmark = pytest.mark.process
@@ -30,7 +30,7 @@ DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Pilot:pilot@alpha?wing
 
 
 class Team:
-    """Two copters in the air under `up --all`; `started` is for its process."""
+    """Two flying copters under `up --all`; `started` is for its process."""
 
     def __init__(self, lfield, environment, *, land=BRISK, **started):
         endpoints = {agent: copter(lfield, environment, land) for agent in ("lead", "wing")}
@@ -42,7 +42,7 @@ class Team:
             witness.until(lambda seen: seen.height > 2.0 and seen.armed)
 
     def have_landed(self) -> None:
-        """Wait until both say that they landed: they were told to, and are down, their motors off."""
+        """Wait until both copters have landed on command with their motors off."""
         for witness in self.witnesses:
             landed(witness)
             assert [mode for _, mode in witness.modes][-1] == "LAND"
@@ -55,14 +55,14 @@ class Team:
         self.have_landed()
 
     def land(self) -> None:
-        """Wait until both have been told to land."""
+        """Wait until both copters have received the command to land."""
         for witness in self.witnesses:
             witness.until(lambda seen: seen.mode == "LAND")
 
 
 @pytest.fixture
 def team(alone, lfield):
-    """`team(**options)`: two copters in the air."""
+    """`team(**options)`: two flying copters."""
     made: list[Team] = []
 
     def begin(**options) -> Team:
@@ -77,7 +77,7 @@ def team(alone, lfield):
 
 
 class Terminal:
-    """A terminal of its own; its output is read and stored until it is closed."""
+    """A pseudo-terminal; its output is read and stored until it is closed."""
 
     def __init__(self) -> None:
         self._master, self.end = os.openpty()
@@ -94,24 +94,24 @@ class Terminal:
 
     @property
     def options(self) -> dict[str, object]:
-        """For a process that is to lead a session on this terminal."""
+        """Options of a process that leads a session on this terminal."""
 
         def controlled() -> None:
             fcntl.ioctl(self.end, termios.TIOCSCTTY, 0)
 
         return {"stdout": self.end, "stderr": self.end, "preexec_fn": controlled}
 
-    def let_go(self) -> None:
-        """Leave the user's end to the processes that have it."""
+    def close_user_end(self) -> None:
+        """Close this process's copy of the user's end."""
         os.close(self.end)
 
     def press(self, keys: bytes) -> None:
         os.write(self._master, keys)
 
     def close(self) -> None:
-        """Close the window."""
+        """Close the terminal, like a closed window."""
         master, self._master = self._master, -1
-        # Woken by this, the reader holds the terminal no longer.
+        # This wakes the reader, which releases the terminal.
         os.write(master, b"\n")
         os.close(master)
 
@@ -129,7 +129,7 @@ def test_other_signals_land_the_team_too(team, number):
 
 def _lands_before_it_ends(team, *numbers: signal.Signals) -> None:
     flown = team(land=SLOW)
-    signal_in_a_hurry(flown.run, *numbers)
+    signal_at_once(flown.run, *numbers)
     assert flown.run.wait() == 130, flown.run.said
     flown.are_down()
 
@@ -149,7 +149,7 @@ def test_a_later_second_ctrl_c_ends_the_team_and_names_devices_in_the_air(team):
     assert len(named) == 2
     for line, device in zip(sorted(named), ("lead.fc", "wing.fc"), strict=True):
         assert f"{device} NOT SAFE: it is in its safe state and not at rest: " in line
-    # Their autopilots bring them down by themselves.
+    # The autopilots land by their own failsafe.
     flown.have_landed()
 
 
@@ -167,7 +167,7 @@ def test_the_team_of_a_killed_parent_lands_and_ends(lfield, team):
 def test_a_team_on_a_closed_terminal_lands(lfield, team):
     terminal = Terminal()
     flown = team(land=SLOW, **terminal.options)
-    terminal.let_go()
+    terminal.close_user_end()
     terminal.close()
     assert flown.run.wait() == 130
     flown.are_down()
@@ -176,7 +176,7 @@ def test_a_team_on_a_closed_terminal_lands(lfield, team):
 def test_ctrl_c_on_a_terminal_ends_the_whole_team(team):
     terminal = Terminal()
     flown = team(**terminal.options)
-    terminal.let_go()
+    terminal.close_user_end()
     terminal.press(b"\x03")
     assert flown.run.wait() == 130, terminal.said
     flown.are_down()
@@ -188,14 +188,14 @@ def test_ctrl_c_on_a_terminal_ends_the_whole_team(team):
 def test_a_host_on_a_closed_terminal_lands(flight):
     terminal = Terminal()
     flown = flight(land=SLOW, **terminal.options)
-    terminal.let_go()
+    terminal.close_user_end()
     terminal.close()
     assert flown.host.wait() == 0
     flown.is_down()
 
 
 def _ended(lfield, processes: set[int]) -> None:
-    """Wait until processes have ended, those of the fakes aside."""
+    """Wait until all processes except those of the fakes have ended."""
     end = time.monotonic() + 60
     fakes = {process.pid for process in lfield.started}
     while left := (processes & set(lfield.left())) - fakes:

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.process
 
 
 def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
-    """The words of `up` for two copters: one at `lead`, one at an endpoint without an answer."""
+    """The arguments of `up` for two copters: one at `lead`, one at an endpoint without an answer."""
     program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
     nowhere = f"udp:127.0.0.1:{port}"
     bound = devices({"lead": lead, "wing": nowhere} if lead else {"wing": nowhere}, 2.0)
@@ -33,7 +33,7 @@ def test_a_device_that_was_only_queried_is_not_reported_unsafe(lfield, alone):
 
 @pytest.mark.few(0)
 def test_a_team_with_a_missing_port_ends_with_69_and_names_it(lfield, alone):
-    """The others are told to stop while they wait for the first word of theirs: nothing was commanded."""
+    """The other hosts are stopped while they wait for their devices: no device was commanded."""
     taken = lfield.ports.take(2)
     nowhere = {f"copter{n}": f"udp:127.0.0.1:{port}" for n, port in enumerate(taken)}
     bound = devices({"lead": "serial:/none:57600", **nowhere}, 2.0)

@@ -1,4 +1,4 @@
-"""Orders of commands with unread output (Ctrl-S, a full pipe): printing never delays an order."""
+"""Orders of commands with unread output (Ctrl-S, a full pipe): output does not delay an order."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ unread = pytest.mark.parametrize("opened", [pipe, terminal])
 def run_unread(monkeypatch, opened, words: list[str], event: threading.Event) -> tuple[bool, bytes, int]:
     """Run a command whose output is read only after the event, or after a minute without it.
 
-    Returns whether the event came, the output, and the exit status.
+    Returns whether the event occurred, the output, and the exit status.
     """
     reading, writing = opened()
     found, status = bytearray(), []
@@ -52,7 +52,7 @@ def run_unread(monkeypatch, opened, words: list[str], event: threading.Event) ->
         os.set_blocking(reading, False)
         is_over = False
         while not is_over:
-            # What a command has written is there when it has ended.
+            # The output of a command is complete after its end.
             is_over = not command.is_alive()
             with suppress(BlockingIOError):
                 while True:
@@ -75,8 +75,8 @@ def test_all_hosts_are_ordered_though_the_output_is_unread(here_mission, opened,
     monkeypatch.setattr(client, "ask_in_turn", ask_in_turn)
     words = [command, "--deploy", str(here_mission), "--no-wait"]
     went_on, said, status = run_unread(monkeypatch, opened, words, asked)
-    assert went_on, "the command waits for its reader before all hosts are asked"
-    assert said.count(b": safe") == len(DEVICES), "what nobody reads at once is not lost"
+    assert went_on, "the command waits for its reader before all hosts have the order"
+    assert said.count(b": safe") == len(DEVICES), "output without a reader is lost"
     assert said.count(b"NOT REACHED") == 1
     assert status == 3
 

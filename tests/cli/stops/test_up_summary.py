@@ -103,7 +103,7 @@ def test_a_result_is_sent_through_a_pipe(hops: dict[str, int]) -> None:
     reading, writing = os.pipe()
     RunResult(hops, "why").write(writing)
     assert read_result(reading) == RunResult(hops if len(hops) < 9000 else {}, "why")
-    # The parent has ended.
+    # The parent process has ended.
     RunResult(hops, "why").write(writing)
     os.close(writing)
 

@@ -32,7 +32,7 @@ coordinator Walker {
 
 
 def deployment(name: str) -> str:
-    """A team of its own: runs of others are found by what they run."""
+    """A separate team: commands find runs by their mission."""
     return f"//Post:p@alpha\n//Post:{name}@beta\n//Walker:walker@alpha\n"
 
 
@@ -55,7 +55,7 @@ def test_the_command_ends_with_the_mission_and_its_status(program, status, outco
     assert watcher.wait() == status, watcher.said
     assert f"walker: {outcome}" in "\n".join(watcher.err)
     assert len(watcher.out) == 1
-    # It has ended when the command starts.
+    # The mission has ended before the command starts.
     later = lfield.start(*words)
     assert later.wait() == status, later.said
     assert team.popen.poll() is None

@@ -1,4 +1,4 @@
-"""`lfield watch` on a flying team, in a real browser: its use by an operator, and its refusals."""
+"""`lfield watch` on a flying team in a real browser: its use by an operator, and its refusals."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def team(lfield, alone):
-    """The processes of a team that flies, and of the page that shows it."""
+    """The processes of a flying team and of its page."""
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     lfield.start("up", "--deploy", deployment, "--all", "--sim", env=alone).wait_for("both fly")
     page = lfield.start("watch", "--deploy", deployment, env=alone)
@@ -66,7 +66,7 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
     browser.says("coordinator-pilot", "mission.L:")
     browser.says("coordinator-pilot", "→")
     browser.says("state", "2 of 2 hosts linked")
-    # Said before anybody looked.
+    # Printed before the first request of the page.
     browser.says("log", "both fly")
 
     browser.thing("stop").click()

@@ -1,4 +1,4 @@
-"""`lfield watch --listen`: its options, and the rights of a browser: those of the keys of `watch`."""
+"""`lfield watch --listen`: its options, and the rights of a browser, those of the keys of `watch`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEPLOYMENT = "//Bell:bell@alpha\n"
 
 
 def page_in(folder: Path, *names: str, begins: float = 60.0, ends: float = DAY) -> bytes:
-    """Keys of a page in a folder; the root that browsers must trust."""
+    """Write the keys of a page to a folder; returns the root that browsers must trust."""
     root = new_browser_ca(1.0, time.time() + 9 * DAY)
     made = root.issue(names or (ADDRESS,), at=time.time() - begins, ends=time.time() + ends)
     write_web_keys(folder, made.certificate, made.key)
@@ -97,7 +97,7 @@ def test_the_command_printed_by_keys_page_serves_the_page(here, lfield, alone) -
 
 
 def answer_of(link: str, root: bytes, **headers: str) -> tuple[int, str]:
-    """The answer to a browser that trusts a root, and the cookie it gets."""
+    """The answer to a browser that trusts a root, and its cookie."""
     address = urlsplit(link)
     context = ssl.create_default_context(cadata=root.decode())
     made = http.client.HTTPSConnection(
@@ -141,7 +141,7 @@ class Browsing:
         return json.loads(self.asks("/look")[1])["look"]
 
     def until(self, told: Callable[[dict], bool]) -> dict:
-        """A look that tells it."""
+        """Poll the page until it shows a condition."""
         end = time.monotonic() + PATIENCE
         while not told(look := self.look()):
             assert time.monotonic() < end, look
@@ -164,7 +164,7 @@ def team(lfield, alone):
     def begin(name: str, *may: Right) -> tuple[str, bytes]:
         lfield.keys.put(name, lfield.keys.made("person", name, *may))
         root = page_in(lfield.folder / "page")
-        # As on another computer: it finds no socket of the host.
+        # The environment of another computer, without the socket of the host.
         (lfield.folder / "away").mkdir(mode=0o700, exist_ok=True)
         away = {"XDG_RUNTIME_DIR": f"{lfield.folder}/away"}
         words = (

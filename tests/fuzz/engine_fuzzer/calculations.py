@@ -1,6 +1,6 @@
-"""Programs that only calculate: a few expressions on every pair of edge values, with all results stored.
+"""Programs with calculations only: a few expressions on every pair of edge values; all results are stored.
 
-This detects results that other programs overwrite before the comparison, and errors at the limits of numbers.
+They detect wrong results that other programs overwrite before the comparison, and errors at number limits.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from engine_fuzzer.expression_generator import FORMS, ExpressionGenerator
 from engine_fuzzer.program_tree import ProgramPiece, written
 from engine_fuzzer.value_literals import edge
 
-#: The types of results, which are kept.
+#: The types of stored results.
 _TYPES = ("int", "real", "boolean", "string")
-#: The operations: a built-in function more often than an operator.
+#: The operations; built-in functions are drawn more often than operators.
 _FORMS = [
     (kind, row) for kind in _TYPES for row in FORMS[kind] for _ in range(3 if re.search(r"\w\(", row) else 1)
 ]
 #: Number of paired values of each type, and of results of each pair.
 _SIZES = ((6, 16), (8, 9), (12, 4), (16, 2))
-#: The values of a pair by type, and objects that are there, or not.
+#: The values of a pair by type, and objects or null.
 _PAIR: dict[str, tuple[str, ...]] = {
     "int": ("a", "b"),
     "real": ("x", "y"),
@@ -65,7 +65,7 @@ def random_calculation(rng: random.Random) -> ProgramPiece:
 
 
 def _given(rng: random.Random, values: int) -> list[ProgramPiece]:
-    """Both zeros are always present: functions of two numbers distinguish them only together."""
+    """The drawn values; both zeros are always present, because functions of two numbers distinguish them."""
     names = {"v": "int", "w": "real", "texts": "string"}
     zeros = {"w[0]": "0.0", "w[1]": "(-0.0)"}
     return [
@@ -80,7 +80,7 @@ def _value(rng: random.Random, kind: str) -> str:
 
 
 def _kept(expressions: ExpressionGenerator, kind: str, row: str, number: int, of: int) -> ProgramPiece:
-    """One result for each pair, or one more that has failed."""
+    """A statement that stores the result of each pair, or counts a failure."""
     drawn = expressions.form(kind, row, expressions.rng.choice((0, 0, 1)))
     failed = f"failed = failed % 1000000 * 3 + {number};"
     form = f"try {{ {kind}s[at * {of} + {number}] = #; }} catch (Exception e) {{ {failed} }}"

@@ -1,8 +1,8 @@
 """Run random programs on two engines: python tests/fuzz/fuzz.py --count 1000 --seed 1
 
-Each program of L is run unchanged, and with a few more changes each time (`--mutants`). A difference is
-printed with the command that reproduces it, and again after it was reduced, which may take minutes:
-Ctrl-C prints the present reduction.
+Each L program is run unchanged, then with a growing number of changes (`--mutants`). A difference is printed
+with the command that reproduces it, and again after the reduction, which may take minutes: Ctrl-C prints the
+current reduction.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from quick_code import partly_compiled, quick_code
 
 #: Seconds between two lines of progress.
 _EVERY = 20.0
-#: Which seeds are compiled with the settings of the product.
+#: One of this many seeds is compiled with the settings of the product.
 _OPTIMISED_EVERY = 20
 
 
@@ -51,7 +51,7 @@ class FuzzTally:
         self.slices += outcome.slices
 
     def line(self, seconds: float) -> str:
-        """Progress, as it is printed."""
+        """The progress line."""
         return (
             f"{self.programs} programs, {self.instructions} instructions, {self.slices} slices, "
             f"{self.programs / max(seconds, 0.001):.1f} programs/s, {self.found} differences"
@@ -66,9 +66,10 @@ class EngineFuzzer:
         self.tally = FuzzTally()
 
     def seed(self, seed: int) -> Iterator[str]:
-        """Run one program and its mutants; reports a difference at once, and again when it is reduced.
+        """Run one program and its mutants; report a difference immediately, and again when it is reduced.
 
-        A KeyboardInterrupt meanwhile is raised after the second report, with the reduction of that moment.
+        A KeyboardInterrupt during the reduction is raised after the second report, with the current
+        reduction.
         """
         with nullcontext() if seed % _OPTIMISED_EVERY == 0 else quick_code():
             yield from self._trials(seed)
@@ -129,14 +130,14 @@ class EngineFuzzer:
 
 
 class SmallestFailure:
-    """The smallest program that has shown a difference so far, as a report."""
+    """The smallest program with a difference so far, and its report."""
 
     def __init__(self, engines: Engines, what: str, seed: int) -> None:
         self._engines, self._what, self._seed = engines, what, seed
         self._report = f"{what}: nothing can be left out"
 
     def shows(self, program: Program, text: str, written: str) -> bool:
-        """Whether this one shows a difference, which is reported with the program as `written` then."""
+        """Return true if the program shows a difference, which is then reported with the text `written`."""
         differences = run_trial(program, text, self._seed, self._engines).differences
         if differences:
             self._report = (
@@ -146,7 +147,7 @@ class SmallestFailure:
         return differences != ()
 
     def after(self, work: Callable[[], object]) -> Iterator[str]:
-        """The report when the reduction is done, or its present state after a KeyboardInterrupt."""
+        """The report after the reduction, or after a KeyboardInterrupt during the reduction."""
         try:
             work()
         except KeyboardInterrupt:
@@ -156,7 +157,7 @@ class SmallestFailure:
 
 
 def listing_around(program: Program, difference: str) -> str:
-    """The listing of the method that a difference speaks of."""
+    """The listing of the method that a difference names."""
     text = disassemble(program)
     named = re.search(r"from instruction (\d+)", difference)
     if named is None:
@@ -174,7 +175,7 @@ def engine_named(name: str) -> Engines:
 
 
 def main(argv: list[str]) -> int:
-    """The command; 1 when engines differ, else INTERRUPTED after Ctrl-C."""
+    """Run the command; returns 1 when engines differ, INTERRUPTED after Ctrl-C, otherwise 0."""
     parser = argparse.ArgumentParser(prog="python tests/fuzz/fuzz.py", description=__doc__)
     parser.add_argument("--count", type=int, default=1000, help="programs, mutants included")
     parser.add_argument("--seed", type=int, default=1, help="the first one; the next programs have the next")
@@ -200,7 +201,7 @@ def main(argv: list[str]) -> int:
 
 @contextmanager
 def _collected_after() -> Iterator[None]:
-    """Python collects no garbage meanwhile, which takes a fifth of the time, but after it."""
+    """Defer Python's garbage collection, a fifth of the run time, to the end of the context."""
     gc.disable()
     try:
         yield
@@ -210,7 +211,7 @@ def _collected_after() -> Iterator[None]:
 
 
 def _try(fuzz: EngineFuzzer, args: argparse.Namespace, started: float) -> None:
-    """One seed after another, until the count or time is reached."""
+    """Run seeds in sequence until the count or time is reached."""
     seed, said = args.seed, started
     while fuzz.tally.programs < args.count and fuzz.tally.found < args.most:
         with _collected_after():

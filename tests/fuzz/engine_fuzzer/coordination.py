@@ -1,6 +1,6 @@
-"""Random statements of coordinators only: time limits, reservations, calls that run concurrently.
+"""Random statements of coordinators: time limits, reservations, concurrent calls.
 
-On one host there are no hops, restarts and expired leases; all other effects of these statements occur here.
+One host has no hops, restarts and expired leases; all other effects of these statements occur.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections.abc import Callable
 from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import ProgramPiece, written
 
-#: What these statements are, for whoever draws one.
+#: The names of these statements.
 COORDINATED = ("within", "reserve", "together", "futures")
-#: Locals that get what calls of a together give, and are used in no other way.
+#: Locals that are only targets of calls in a together.
 RESULTS = (("int", "t0", "0"), ("int", "t1", "5"), ("int[]", "u0", "new int[3]"))
-#: Locals of futures, and what is done with them.
+#: Locals of futures, and statements with them.
 FUTURES = (("future<int>", "f0", "null"), ("future<int>[]", "g0", "new future<int>[3]"))
 _BEGIN = (
     "f0 = async #.ask(#, #);|Store! int Node",
@@ -29,12 +29,12 @@ _FETCH = (
     *("g0[1] = f0;|", "g0[#] = null;|int"),
     "for (int m = g0.next(); m >= 0; m = g0.next()) { i0 = i0 + m; g0[m] = null; }|",
 )
-#: Draws statements of at most so many levels, at most so many.
+#: Draws statements, with their maximum depth and number.
 Block = Callable[[int, int], list[ProgramPiece]]
 
 
 class Coordination:
-    """Draws such statements; those inside them are drawn by `block`, and `wait` draws one that leaves."""
+    """Draws such statements; `block` draws their inner statements, `wait` one that leaves the engine."""
 
     def __init__(
         self, expressions: ExpressionGenerator, portals: int, block: Block, wait: Callable[[], ProgramPiece]
@@ -45,16 +45,16 @@ class Coordination:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Which of COORDINATED may stand here."""
+        """The statements of COORDINATED that are valid here."""
         return ("within",) if self._together else COORDINATED
 
     @property
     def calls(self) -> bool:
-        """Whether a portal may be called in any statement: not beside the calls of a together."""
+        """True if any statement may call a portal; false inside a together."""
         return not self._together
 
     def draw(self, which: str, depth: int) -> ProgramPiece:
-        """One of COORDINATED."""
+        """Draw one of COORDINATED."""
         drawers = {
             "within": self._within,
             "reserve": self._reserve,
@@ -64,7 +64,7 @@ class Coordination:
         return drawers[which](depth)
 
     def _futures(self, depth: int) -> ProgramPiece:
-        """Calls that begin, and are fetched, raced, cancelled or dropped among other statements."""
+        """Calls that are started and fetched, raced, cancelled or dropped among other statements."""
         between = self._block(depth - 1, 1) if self._rng.random() < 0.5 else []
         return written("", "{ # }", [*self._some(_BEGIN, 2), *between, *self._some(_FETCH, 3)])
 
@@ -78,12 +78,12 @@ class Coordination:
         return written("", f"within ({seconds}) {{ # }}", [*self._block(depth - 1, 2), self._wait()])
 
     def _reserve(self, depth: int) -> ProgramPiece:
-        """The resource may be reserved by another agent, or be absent."""
-        taken = self._expressions.form("", self._rng.choice(("#|Store", "#|Store!", "all|")), 1)
-        return written("", "reserve (#) { # }", taken, [*self._block(depth - 1, 2), self._wait()])
+        """A reservation; the resource may be reserved by another agent, or be null."""
+        resource = self._expressions.form("", self._rng.choice(("#|Store", "#|Store!", "all|")), 1)
+        return written("", "reserve (#) { # }", resource, [*self._block(depth - 1, 2), self._wait()])
 
     def _calls(self, depth: int) -> ProgramPiece:
-        """Calls, each with a place of its own for the result, among other statements."""
+        """Calls with separate targets, among other statements."""
         self._together = True
         body = [self._expressions.form("", form, 1) for form in self._forms()]
         for _ in range(self._rng.choice((0, 0, 1, 2))):
@@ -94,7 +94,7 @@ class Coordination:
         return written("", "together { # } #", body, after)
 
     def _forms(self) -> list[str]:
-        """Each variable is the target of one call."""
+        """Forms of calls; each variable is the target of one call."""
         rounds = self._rng.choice((2, 3, 3, 4))
         loop = f"for (int m = 0; m < {rounds}; m = m + 1)"
         kinds = [
@@ -164,7 +164,7 @@ _ASKS = (
 
 
 def random_asker(rng: random.Random) -> str:
-    """A coordinator that asks for what is in tests/golden/programs/hauling.yaml, and the resources for it."""
+    """A coordinator with queries to tests/golden/programs/hauling.yaml, and its resources."""
     asked = []
     for _ in range(rng.randint(1, 5)):
         query = rng.choice((" && ", " || ")).join(rng.sample(_ATOMS, rng.randint(1, 3))) + rng.choice(_ORDERS)

@@ -1,8 +1,8 @@
 """A pair of engines: both execute every slice, and all observable results must be the same.
 
-It replaces an engine in a machine, so any program can be run on both: exits, the remaining
-budget, and the bytes of the block are compared at the end of every slice. Slices are also cut at
-random, since between any two instructions one engine may take over from another.
+The pair replaces the engine of a machine, so that any program runs on both: exits, the remaining budget, and
+the bytes of the block are compared at the end of every slice. Slices also end at random instructions, because
+one engine may take over from the other between any two instructions.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from quick_code import prepared_once
 
 
 class TrialOver(Exception):
-    """The number of instructions was reached, or a difference was found: the trial ends."""
+    """The end of a trial: the number of instructions is reached, or a difference is found."""
 
 
 class EnginePair(EngineWrapper):
     """The tested engine, and the reference engine on a copy of each block.
 
-    `longest` instructions are done at most. What differs is noted in `differences`, a sentence for each, and
-    ends the trial.
+    At most `longest` instructions are executed. A difference is added to `differences` as a sentence and ends
+    the trial.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class EnginePair(EngineWrapper):
 
     @property
     def space(self) -> SpacePair:
-        """Blocks as the engine that is tried has them."""
+        """The space of the tested engine."""
         return self._space
 
     def run(
@@ -69,7 +69,7 @@ class EnginePair(EngineWrapper):
         limits: AgentLimits,
         readings: Sequence[Reading | None] = (),
     ) -> EngineExit:
-        """Both run, a part of the budget after another."""
+        """Run both engines on parts of the budget."""
         left = budget
         while True:
             part = min(left, self._part())
@@ -81,7 +81,7 @@ class EnginePair(EngineWrapper):
                 return leave
 
     def _part(self) -> int:
-        """Most slices are long, as in earnest; some end after an instruction or two."""
+        """The length of a slice: mostly long, as in the product, sometimes one or two instructions."""
         return self._rng.choice((1, 2, 3, 7, 20, 50, 100, 300, 1000, 1000))
 
     def _slice(
@@ -103,14 +103,14 @@ class EnginePair(EngineWrapper):
         return expected
 
     def complete(self, block: Block, thread: int, value: int) -> None:
-        """Both give a group its result."""
+        """Complete a group on both engines."""
         copy = copy_block(block)
         self.reference.complete(copy, thread, value)
         self._try("complete", lambda: self.tried.complete(block, thread, value))
         self._compare("complete", copy, block, thread)
 
     def throw(self, block: Block, thread: int, thrown: int) -> bool:
-        """Both throw."""
+        """Throw on both engines."""
         copy = copy_block(block)
         caught = self.reference.throw(copy, thread, thrown)
         also = self._try("throw", lambda: self.tried.throw(block, thread, thrown))
@@ -118,7 +118,7 @@ class EnginePair(EngineWrapper):
         self._compare("throw", copy, block, thread)
         return caught
 
-    # --- what differs ---------------------------------------------------------------------------------
+    # --- differences ----------------------------------------------------------------------------------
 
     def _try(self, what: str, work: Callable[[], object]) -> object:
         try:
@@ -132,7 +132,7 @@ class EnginePair(EngineWrapper):
             self._differs(f"{what}: {of} is {found}, in the reference {expected}")
 
     def _compare(self, what: str, expected: Block, found: Block, thread: int) -> None:
-        """The places of the thread first: they tell more than the words of a heap."""
+        """Compare the thread first: its differences are more informative than heap words."""
         for name, word in (("instruction", THREAD_PC), ("frame", THREAD_FRAME)):
             self._same(what, name, expected.w[thread + word], found.w[thread + word])
         self._same(what, "top", expected.top, found.top)
@@ -147,7 +147,7 @@ class EnginePair(EngineWrapper):
 
 
 def copy_block(block: Block) -> Block:
-    """A block of its own with the same bytes and as much room."""
+    """A copy of a block with the same bytes and size."""
     data = bytearray(len(block.data))
     data[: 8 * block.top] = block.data[: 8 * block.top]
     copy = Block(data, block.top, block.limit)

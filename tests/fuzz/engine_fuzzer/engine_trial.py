@@ -1,4 +1,4 @@
-"""One program on two engines, on one host in memory, until it ends or reaches its limits."""
+"""Runs one program on two engines, on one host in memory, until its end or limits."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from lfield.vm.agent import MachineTeam
 from lfield.vm.engine_interface import AgentLimits, Engines
 from lfield.vm.machine import Machine
 
-#: Instructions that one trial does at most, and rounds of the machine.
+#: The most instructions of a trial, and the most rounds of the machine.
 LONGEST, ROUNDS = 10_000, 150
-#: The latest time of the virtual clock, in s: engines count nanoseconds in 64 bits, which is 292 years.
+#: The latest time of the virtual clock (s): engines count nanoseconds in 64 bits, which is 292 years.
 LATEST = 9e9
-#: The comment of a program that is not about limits.
+#: A comment that selects large limits for a program.
 ENOUGH_HEAP = "// room: enough"
-#: The registry of programs with queries, which name it in a comment.
+#: The registry of programs with queries, named in their comment.
 _REGISTRY = Path(__file__).parents[2] / "golden" / "programs" / "hauling.yaml"
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
 
@@ -51,12 +51,12 @@ def registry_of(text: str) -> Registry | None:
 
 
 def compiled(text: str) -> Program:
-    """Compiles a random program. Raises ProgramError."""
+    """Compile a random program. Raises ProgramError."""
     return compile_text(text, registry=registry_of(text))
 
 
 def random_limits(rng: random.Random) -> AgentLimits:
-    """Limits that programs come to: heaps of a few objects, and of many."""
+    """Limits that programs reach: heaps of few objects, and of many."""
     return AgentLimits(
         heap=rng.choice((6 << 10, 8 << 10, 12 << 10, 32 << 10, 1 << 20)),
         call_depth=rng.choice((5, 12, 40, 200)),
@@ -68,7 +68,7 @@ def random_limits(rng: random.Random) -> AgentLimits:
 def run_trial(program: Program, text: str, seed: int, engines: Engines) -> TrialOutcome:
     """Run a program on an engine and the reference engine; the seed decides limits and slices.
 
-    The text says in comments which agents there are, as golden programs do, and whether there is ROOM.
+    Comments of the text name the agents, as in golden programs, and may contain ROOM.
     """
     dice = random.Random(seed)
     limits = AgentLimits() if ENOUGH_HEAP in text else random_limits(dice)
@@ -100,6 +100,6 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
 
 
 def _bugs(desk: GoldenWorld) -> tuple[str, ...]:
-    """First lines of the reports of agents that died of a bug in lfield; the end of the trial is no bug."""
+    """First lines of the reports of agents that ended by a bug in lfield, without the end of the trial."""
     lines = [agent.report.splitlines()[0] for agent in desk.endings if agent.report]
     return tuple(line for line in lines if "bug in lfield" in line and TrialOver.__name__ not in line)

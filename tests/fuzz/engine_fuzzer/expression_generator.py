@@ -1,4 +1,4 @@
-"""Random expressions of L, by type: calculations, comparisons, reads and allocations of engines."""
+"""Random expressions of L by type: calculations, comparisons, reads and allocations."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import random
 from engine_fuzzer.program_tree import ProgramPiece, written
 from engine_fuzzer.value_literals import literal
 
-#: By type, what an expression of it can be: `#` with the types of its parts behind the last `|`. One with `!`
-#: is not the word null, one with `*` is a variable.
+#: The forms of expressions by type: each `#` is a part, with its types after the last `|`. A part with `!` is
+#: not the word null, a part with `*` is a variable.
 FORMS: dict[str, tuple[str, ...]] = {
     "int": (
         *("(# + #)|int int", "(# - #)|int int", "(# * #)|int int", "(# / #)|int int", "(# % #)|int int"),
@@ -97,7 +97,7 @@ FORMS: dict[str, tuple[str, ...]] = {
     "Store": ("all[#]|int", 'findStore("store")|'),
 }
 
-#: In half of the methods also these: what makes an array longer or shorter, and the library in L.
+#: Additional forms in half of the methods: changes of array lengths, and the library in L.
 GROWTH_FORMS: dict[str, tuple[str, ...]] = {
     "int": (
         *("#.pop()|int[]*", "#.remove(#)|int[]* int", "#.remove(0)|int[]*", "#.indexOf(#)|int[]! int"),
@@ -123,7 +123,7 @@ _REFERENCES = ("Node", "int[]", "real[]", "Node[]", "string[]", "Store", "string
 
 
 class ExpressionGenerator:
-    """Draws expressions from dice and from the variables and calls that may be used."""
+    """Draws expressions with the random generator from the available variables and calls."""
 
     def __init__(
         self,
@@ -134,16 +134,16 @@ class ExpressionGenerator:
         grows: bool = False,
     ) -> None:
         self.rng, self._variables = rng, variables
-        #: By type, the forms of calls that may stand here.
+        #: The forms of valid calls by type.
         self.calls = calls
         self._depth = rng.choice((1, 2, 2, 3))
-        #: Whether arrays get longer and shorter, and maps are used.
+        #: True if arrays grow and shrink, and maps are used.
         self.grows = grows
-        #: Variables of loops, which may be read only.
+        #: Variables of loops, which are read-only.
         self.counters: list[str] = []
 
     def draw(self, kind: str, depth: int = -1) -> ProgramPiece:
-        """An expression of at most so many levels; a usual number, if nothing is said."""
+        """Draw an expression with a maximum depth; the default depth is random."""
         depth = self._depth if depth < 0 else depth
         chance = self.rng.random()
         if depth <= 0 or chance < 0.35:
@@ -154,12 +154,12 @@ class ExpressionGenerator:
         return self.form(kind, self.rng.choice(FORMS[kind] + growth), depth - 1)
 
     def form(self, kind: str, row: str, depth: int) -> ProgramPiece:
-        """A form with its parts drawn."""
+        """Draw the parts of a form."""
         form, _, kinds = row.rpartition("|")
         return written(kind, form, *(self._part(k, depth) for k in kinds.split()))
 
     def _part(self, kind: str, depth: int) -> ProgramPiece:
-        """References that are used are variables mostly: what is null ends a statement soon."""
+        """Draw a part. Dereferenced parts are mostly variables, because null ends a statement early."""
         plain = kind.rstrip("!*")
         if kind.endswith("*") or (plain in _REFERENCES and self.rng.random() < 0.75):
             return self._variable(plain)

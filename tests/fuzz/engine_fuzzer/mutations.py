@@ -1,7 +1,7 @@
-"""Programs that no compiler produces: compiled ones with random changes that the verifier accepts.
+"""Programs that no compiler produces: compiled programs with random changes that the verifier accepts.
 
-Jumps go anywhere in a method, so loops have several entries; constants have any bits; handlers and calls are
-in places where L has none.
+Jumps have any target in a method, so that loops have several entries; constants have any bits; handlers and
+calls are at places where L has none.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from lfield.errors import ProgramFileError
 from lfield.vm.memory.word_codec import real_from_bits
 from lfield.vm.wasm.lowering.module_lowering import called_methods
 
-#: Numbers that constants become.
+#: New values of constants.
 _INTS = (0, 1, -1, 2, 3, 7, 63, 64, 1 << 31, (1 << 53) + 1, (1 << 63) - 1, -(1 << 63))
 _REALS = (0.0, -0.0, 1.0, -1.0, 0.5, 5e-324, 1e-308, 1.7976931348623157e308, float("inf"), float("-inf"))
-#: Not numbers, with bits that no arithmetic gives.
+#: NaNs with bits that no arithmetic gives.
 _NANS = (real_from_bits(0x7FF8_0000_0000_0001), real_from_bits(-1), real_from_bits(0x7FF4_0000_0000_0000))
 
 #: Instructions that take operands of the same roles and kinds, in families.
@@ -42,11 +42,11 @@ _FRAME, _LOAD_STRING = BY_NAME["frame"].code, BY_NAME["lds"].code
 
 @dataclass(frozen=True)
 class Edit:
-    """One change: another instruction, constant or method, in the place of what was at `at`."""
+    """One change: another instruction, constant or method at `at`."""
 
     at: int
     value: Quad | MethodRecord | bool | int | float | str | None
-    #: Whether it is the constant at `at` that becomes `value`.
+    #: True if the constant at `at` becomes `value`.
     constant: bool = False
 
     def __str__(self) -> str:
@@ -61,9 +61,9 @@ class Edit:
 
 
 def edited(program: Program, edits: Sequence[Edit], accepted: int = 0) -> Program | None:
-    """The program after these changes, of which so many were accepted before; None if the verifier refuses.
+    """The program after these changes, of which the first are already accepted; None if it is rejected.
 
-    Only what the other changes affect is verified.
+    Only the parts that the new changes affect are verified.
     """
     quads, constants = list(program.quads), list(program.core.constants)
     methods = list(program.core.methods)
@@ -100,7 +100,7 @@ def _verify(program: Program, edits: Sequence[Edit]) -> None:
 
 
 def changed_methods(program: Program, edits: Sequence[Edit]) -> set[int]:
-    """The methods of which a change affects the code: those with a constant too."""
+    """The methods whose code a change affects, including those with a changed constant."""
     entries = [method.entry for method in program.core.methods]
     found: set[int] = set()
     for edit in edits:
@@ -124,9 +124,9 @@ def random_edits(
     latest: Program | None = None,
     earlier: Sequence[Edit] = (),
 ) -> tuple[Program, list[Edit]]:
-    """A program with so many changes that the verifier accepts, fewer where luck is bad; and the changes.
+    """Apply up to `count` random changes that the verifier accepts; returns the program and the changes.
 
-    They come on top of `earlier` ones, which have made `latest` of the program.
+    The changes follow `earlier` ones, whose result is `latest`.
     """
     kept, found = list(earlier), program if latest is None else latest
     for _ in range(3 * count):
@@ -151,7 +151,7 @@ def _drawn(program: Program, rng: random.Random) -> Edit | None:
         case 2:
             return Edit(number, _other_method(method, rng))
         case 3:
-            # Something that stands elsewhere in the method, twice.
+            # Duplicate another instruction of the method here.
             other = program.quads[rng.randrange(method.entry, method.end)]
             return Edit(at, other) if _FRAME not in (other.op, program.quads[at].op) else None
         case 4:
@@ -179,7 +179,7 @@ def _constant(program: Program, rng: random.Random) -> Edit | None:
 
 
 def _other_method(method: MethodRecord, rng: random.Random) -> MethodRecord:
-    """Synchronized or not, or with a handler whose place is another."""
+    """The method with another `synchronized`, or with a moved handler."""
     if not method.handlers or rng.random() < 0.4:
         return msgspec.structs.replace(method, synchronized=not method.synchronized)
     handlers = list(method.handlers)
@@ -194,7 +194,7 @@ def _other_method(method: MethodRecord, rng: random.Random) -> MethodRecord:
 
 
 def _family(program: Program, at: int, rng: random.Random) -> Edit | None:
-    """Another instruction with operands of the same kinds."""
+    """Another instruction with the same kinds of operands."""
     quad = program.quads[at]
     row = BY_CODE[quad.op]
     known = _FAMILIES.get((row.operands, row.argument_kinds, row.result_kind), [])

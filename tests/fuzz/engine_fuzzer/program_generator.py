@@ -1,6 +1,6 @@
 """Random programs of L: a class with linked objects, a resource, and coordinators that call it.
 
-A program is correctly typed and mostly ends by itself; the trial stops others.
+A program is correctly typed and mostly ends; the trial stops the others.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import PLAIN, ProgramPiece, written
 from engine_fuzzer.statement_generator import StatementGenerator
 
-#: The variables of every method: type, name, and what it is at first.
+#: The variables of every method: type, name, and initial value.
 _LOCALS = (
     *(
         ("int", "i0", "3"),
@@ -41,14 +41,14 @@ _LOCALS = (
 _VARIABLES: dict[str, tuple[str, ...]] = {
     kind: tuple(name for of, name, _ in _LOCALS if of == kind) for kind in PLAIN if kind != "Store"
 }
-#: Those of coordinators, who know resources.
+#: Additional variables of coordinators: proxies.
 _PROXIES = {"Store": ("st", "all[0]")}
-#: How a portal lets others in, who want its monitor perhaps.
+#: Pauses of a portal, in which other threads can run and lock its monitor.
 _PAUSES = ("sleep(0.25);", "yield();", "sleep(i2f(n) / 4.0);")
-#: What every method takes: how deep calls may go yet, and some values.
+#: Parameters of every method: the remaining depth of calls, and some values.
 _PARAMETERS = "int d, int n, real x, Node p"
 
-#: What the arrays of a unit are sorted by; some throw.
+#: The order functions of a unit; some throw.
 _ORDERS = {
     "before": "private boolean before(Node v, Node w) { return v.n < w.n; }",
     "key": "private real key(Node v) { return v.r; }",
@@ -81,7 +81,7 @@ private boolean big(int k) { return k > 3; }
 
 
 def _declared(body: list[ProgramPiece]) -> list[ProgramPiece]:
-    """The declarations of what a body uses, and of what those use."""
+    """The declarations of the variables of a body, including those of their initial values."""
     text = " ".join(piece.text() for piece in body)
     found: list[ProgramPiece] = []
     for kind, name, value in reversed(_LOCALS + RESULTS + FUTURES):
@@ -97,9 +97,9 @@ def _orders(bodies: list[ProgramPiece]) -> ProgramPiece:
     return ProgramPiece("", [text for name, text in _ORDERS.items() if f".sort({name})" in used])
 
 
-#: Statements of a method, and levels of them: most programs are small, as they are run in less time.
+#: Statements of a method, and their depth: most programs are small, because small programs run faster.
 _SIZES = (*((1, 1),) * 4, *((1, 2),) * 2, *((2, 1),) * 2, (2, 2), (3, 2))
-#: What only the machine can carry out: in every unit, in coordinators, in resources.
+#: Statements that leave the engine: in every unit, in coordinators, in resources.
 _WAITS = (
     *("yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|", "r0 = now();|"),
 )
@@ -108,9 +108,9 @@ _OF_WALKERS = (
     "heartbeatInterval(#);|real",
     "all = findStore();|",
     "for (Store k6 : findStore()) s0 += k6.agent();|",
-    # The checker refuses a literal that is empty (L427); engines look up an empty id like any other.
+    # The checker rejects an empty literal (L427); engines look up a computed empty id.
     'st = findStore("" + #);|string',
-    # One of them is startable.
+    # The coordinator `third` is startable.
     *('start("third", 0.5);|', 'stop("third", 0.5);|', 's0 = awaitEnd("third", 0.5);|'),
     *("start(#, 0.25);|string", 'print(b2s(running("third", 0.5)));|'),
 )
@@ -118,17 +118,17 @@ _OF_STORES = (
     *("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean"),
     *("write(read(0.25));|", "s0 = read(r0 * #);|real"),
 )
-#: What a synchronized method of a resource does besides.
+#: Additional statements of a synchronized method of a resource.
 _IN_MONITOR = ("wait until (#) within (0.3);|boolean", "wait until (n > #) within (x);|int", "n = n + 1;|")
-#: What coordinators ask, by how many portals there are.
+#: Portal calls of coordinators, by number of portals.
 _ASKED = ("i0 = #.ask(#, #);|Store! int Node", "#.tell(#, #, #);|Store! real string int[]")
-#: What only coordinators can say, by type.
+#: Expressions of coordinators only, by type.
 _KNOWN = {
     "int": ("hops()|",),
     "boolean": ("(# == #)|Store! Store", "(# != #)|Store! Store", "(# == null)|Store!"),
     "string": ("#.agent()|Store!", "#.host()|Store!"),
 }
-#: What methods give.
+#: Result types of methods.
 _KINDS = ("int", "int", "real", "boolean", "string", "Node", "int[]")
 
 
@@ -141,7 +141,7 @@ class _ProgramGenerator:
         self.rng = rng
         self.size, self.depth = rng.choice(_SIZES)
         self.portals = rng.choice((1, 2))
-        #: By unit, its methods by the type they give: what an expression may call.
+        #: The methods that an expression may call, by unit and result type.
         self.methods = {unit: self._names(unit) for unit in ("Node", "Store", "Walker")}
 
     def _names(self, unit: str) -> dict[str, tuple[str, ...]]:
@@ -181,7 +181,7 @@ class _ProgramGenerator:
         return [(kind, name) for kind, names in self.methods[unit].items() for name in names]
 
     def _calls(self, unit: str) -> dict[str, tuple[str, ...]]:
-        """Calls by type, as forms: of the own methods, and of objects."""
+        """Forms of calls by type: of methods of the same unit, and of objects."""
         found: dict[str, tuple[str, ...]] = {"int": ("o0.dive(#)|int",), "Node": ("o1.link(#, #)|int Node",)}
         if unit == "Walker":
             for kind, forms in _KNOWN.items():
@@ -202,7 +202,7 @@ class _ProgramGenerator:
         pauses: bool = False,
         locked: bool = False,
     ) -> ProgramPiece:
-        """A method's own: the variables that it uses, statements, and an end."""
+        """The body of a method: its variables, statements, and end."""
         walks = unit == "Walker"
         waits = _WAITS + {"Walker": _OF_WALKERS, "Store": _OF_STORES}.get(unit, ())
         waits += _IN_MONITOR * 3 if locked and unit == "Store" else ()
@@ -227,7 +227,7 @@ class _ProgramGenerator:
         return ProgramPiece("", [[*_declared(body), *body]])
 
     def _guarded(self, piece: ProgramPiece) -> ProgramPiece:
-        """Whatever a statement throws, the next one comes: else most programs would be over soon."""
+        """Catch the exceptions of each statement: otherwise most programs end early."""
         if self.rng.random() < 0.1:
             return piece
         return written(
@@ -273,7 +273,7 @@ class _ProgramGenerator:
 
 # --- constants, enums and functions -------------------------------------------------------------------------
 
-#: Which of so many programs has them.
+#: One of this many programs has these declarations.
 _TOP_LEVEL_EVERY = 3
 _TOP_LEVEL = """
 const int MANY = 5 * LEAST - 3;
@@ -319,7 +319,7 @@ _NAMED = {
     declared: re.findall(r"(\w+)(?: =| \{|\()", declared)[0]
     for declared in re.split(r"\n+(?=const |enum |\w[\w\[\]]* \w+\()", _TOP_LEVEL.strip())
 }
-#: By type, what an expression becomes: `#` is what it was.
+#: The new form of an expression by type; `#` is the old expression.
 _TOP_LEVEL_FORMS = {
     "int": (
         *("squared(#)", "steps(# % 12)", "(# + MANY)", "ranked(#).ordinal()", "attempted(i2s(#))"),
@@ -338,9 +338,9 @@ _TOP_LEVEL_FORMS = {
 
 
 def _with_top_level(program: ProgramPiece) -> ProgramPiece:
-    """The program, or one of every few with constants, enums and functions, which get some expressions.
+    """The program; one of several also gets constants, enums and functions in some expressions.
 
-    Which ones is decided by the text of the program, so that the dice give the same programs as before.
+    The text of the program selects them, so that the random generator draws the same programs as before.
     """
     text = program.text()
     chance = zlib.crc32(text.encode("utf-8"))
@@ -357,7 +357,7 @@ def _with_top_level(program: ProgramPiece) -> ProgramPiece:
 
 
 def _declarations(text: str) -> str:
-    """Those of _TOP_LEVEL that a text uses, and those that they use."""
+    """The declarations of _TOP_LEVEL that a text uses, directly or indirectly."""
     names: set[str] = set()
     while used := {name for name in {*_NAMED.values()} - names if re.search(rf"\b{name}\b", text)}:
         names |= used
@@ -366,7 +366,7 @@ def _declarations(text: str) -> str:
 
 
 def _values(program: ProgramPiece) -> Iterator[ProgramPiece]:
-    """The expressions that are read, not assigned to or changed."""
+    """The expressions that are only read."""
     for piece in program.pieces():
         for at, part in enumerate(piece.parts):
             following = piece.parts[at + 1] if at + 1 < len(piece.parts) else ""
@@ -379,12 +379,12 @@ def _values(program: ProgramPiece) -> Iterator[ProgramPiece]:
 
 # --- queries with parameters --------------------------------------------------------------------------------
 
-#: Which of so many programs has a coordinator with queries.
+#: One of this many programs has a coordinator with queries.
 _QUERIES_EVERY = 5
 
 
 def _with_queries(program: ProgramPiece) -> ProgramPiece:
-    """The program, or one of every few with a coordinator that asks; chosen as those with functions."""
+    """The program; one of several gets a coordinator with queries, selected like those with functions."""
     text = program.text()
     chance = zlib.crc32(text.encode("utf-8"))
     if chance % _QUERIES_EVERY or "// deploy: Store:store" not in text:
@@ -393,6 +393,6 @@ def _with_queries(program: ProgramPiece) -> ProgramPiece:
 
 
 def random_program(rng: random.Random) -> ProgramPiece:
-    """A program by what the dice say; `ProgramPiece.text` is its L."""
+    """Draw a program; `ProgramPiece.text` gives its L text."""
     drawn = random_calculation(rng) if rng.random() < 0.4 else _ProgramGenerator(rng).program()
     return _with_queries(_with_top_level(drawn))

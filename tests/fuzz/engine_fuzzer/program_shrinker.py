@@ -1,4 +1,4 @@
-"""Reduces a program that shows a difference as far as possible in a short time."""
+"""Reduces a program with a difference as far as possible in a short time."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from collections.abc import Callable
 from engine_fuzzer.mutations import Edit
 from engine_fuzzer.program_tree import PLAIN, ProgramPiece
 
-#: Whether what is left still shows the difference.
+#: Returns true if the remaining program still shows the difference.
 Shows = Callable[[], bool]
 
 
 class TryBudget:
-    """So many tries are left."""
+    """A number of remaining tries."""
 
     def __init__(self, tries: int) -> None:
         self.tries = tries
 
     def use(self, shows: Shows) -> bool:
-        """Try once, if there are tries left."""
+        """Use one try; returns false if none is left."""
         self.tries -= 1
         return self.tries >= 0 and shows()
 
 
 def shrink(program: ProgramPiece, shows: Shows, tries: int = 400) -> None:
-    """Take out of a program, in place, what is not needed; it must show the difference as it is."""
+    """Remove unneeded parts of a program in place; the unchanged program must show the difference."""
     spare, before = TryBudget(tries), -1
     while spare.tries > 0 and before != (before := len(program.text())):
         _statements(program, shows, spare)
@@ -33,7 +33,7 @@ def shrink(program: ProgramPiece, shows: Shows, tries: int = 400) -> None:
 
 
 def shrunk_edits(edits: list[Edit], shows: Callable[[list[Edit]], bool]) -> list[Edit]:
-    """The changes that are needed."""
+    """The changes that are needed for the difference."""
     kept = list(edits)
     for edit in edits:
         fewer = [other for other in kept if other is not edit]
@@ -43,7 +43,7 @@ def shrunk_edits(edits: list[Edit], shows: Callable[[list[Edit]], bool]) -> list
 
 
 def _statements(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
-    """Leave out statements: many at once, then fewer."""
+    """Remove statements: many at a time, then fewer."""
     for block in list(program.blocks()):
         size = len(block)
         while size:
@@ -71,7 +71,7 @@ def _hoisted(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
 
 
 def _expressions(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
-    """A part of an expression instead of the whole, or a constant."""
+    """Replace an expression by one of its parts, or by a constant."""
     for piece in list(program.pieces()):
         if not piece.kind or not any(isinstance(part, ProgramPiece) for part in piece.parts):
             continue

@@ -1,11 +1,11 @@
-"""A program as a tree of text, so that parts that are not needed for a difference can be removed."""
+"""A program as a tree of text, from which parts can be removed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-#: What stands for an expression of each type when it is not needed.
+#: Replacements of unneeded expressions by type.
 PLAIN = {
     "int": "0",
     "real": "0.0",
@@ -28,11 +28,11 @@ class ProgramPiece:
     parts: list[str | ProgramPiece | list[ProgramPiece]] = field(default_factory=list)
 
     def text(self) -> str:
-        """As L."""
+        """The L text."""
         return "".join(_text(part) for part in self.parts)
 
     def pieces(self) -> Iterator[ProgramPiece]:
-        """This one and all inside it, outer ones first."""
+        """This piece and all inner pieces, outer ones first."""
         yield self
         for part in self.parts:
             for piece in part if isinstance(part, list) else [part]:
@@ -40,7 +40,7 @@ class ProgramPiece:
                     yield from piece.pieces()
 
     def blocks(self) -> Iterator[list[ProgramPiece]]:
-        """All blocks of statements inside it, outer ones first."""
+        """All inner blocks of statements, outer ones first."""
         for piece in self.pieces():
             for part in piece.parts:
                 if isinstance(part, list):
@@ -56,7 +56,7 @@ def _text(part: str | ProgramPiece | list[ProgramPiece]) -> str:
 
 
 def written(kind: str, form: str, *pieces: ProgramPiece | list[ProgramPiece]) -> ProgramPiece:
-    """A piece from text with a `#` for each part."""
+    """A piece from a text with a `#` for each part."""
     parts: list[str | ProgramPiece | list[ProgramPiece]] = []
     texts = form.split("#")
     assert len(texts) == len(pieces) + 1, form

@@ -13,28 +13,28 @@ from lfield.vm.memory.layout import Layouts
 
 
 class SpacePair:
-    """Gives what the other space gives; `differs` is told, in a sentence, what Python has otherwise."""
+    """Returns the results of the tested space; `differs` receives a sentence for each difference."""
 
     def __init__(self, tried: BlockAllocator, differs: Callable[[str], object]) -> None:
         self._tried, self._differs = tried, differs
 
     @property
     def is_native(self) -> bool:
-        """Whether the engine that is tried works on whole heaps itself."""
+        """True if the tested engine implements heap operations."""
         return self._tried.is_native
 
     def allocate(self, size: int) -> Buffer:
-        """As of the space that is tried, with bytes that nobody may rely on."""
+        """Allocate in the tested space, and overwrite the new bytes, which have no defined values."""
         data = self._tried.allocate(size)
         memoryview(data)[:] = b"\xa5" * size
         return data
 
     def resize(self, data: Buffer, size: int) -> Buffer:
-        """As of the space that is tried."""
+        """Resize in the tested space."""
         return self._tried.resize(data, size)
 
     def collect(self, source: Buffer, target: Buffer, layouts: Layouts) -> int:
-        """Both collect."""
+        """Collect in both spaces."""
         copy = _block(source, len(source) // 8, len(source) // 8)
         top = self._tried.collect(source, target, layouts)
         if top:
@@ -52,7 +52,7 @@ class SpacePair:
         end: int,
         layouts: Layouts,
     ) -> tuple[list[int], int] | None:
-        """Both copy."""
+        """Copy in both spaces."""
         old, copy = _block(source, used, used), _block(target, top, end)
         found = self._tried.copy(source, used, roots, target, top, end, layouts)
         if found is None:
@@ -70,11 +70,11 @@ class SpacePair:
         return found
 
     def verify_heap(self, data: Buffer, heap: int, top: int, shapes: HeapSchema) -> VerifiedHeap | None:
-        """As of the space that is tried."""
+        """Verify in the tested space."""
         return self._tried.verify_heap(data, heap, top, shapes)
 
     def can_migrate(self, data: Buffer, top: int, stances: SuspensionPoints) -> bool:
-        """As of the space that is tried."""
+        """Return the answer of the tested space."""
         return self._tried.can_migrate(data, top, stances)
 
     def _same(self, what: str, expected: Block, found: Buffer, top: int) -> None:
@@ -88,7 +88,7 @@ class SpacePair:
 
 
 def _block(data: Buffer, top: int, end: int) -> Block:
-    """A block of its own with these bytes."""
+    """A new block with these bytes."""
     block = Block(bytearray(data), top, end)
     block.end = end
     return block

@@ -1,4 +1,4 @@
-"""Random statements of L: loops, exceptions, calls, and all else that engines must execute alike."""
+"""Random statements of L that engines must execute in the same way: loops, exceptions, calls and others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from engine_fuzzer.coordination import Coordination
 from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import ProgramPiece, written
 
-#: What can be caught, and is thrown now and then.
+#: Exception classes to catch, and sometimes to throw.
 _CLASSES = ("Exception", "ArithmeticException", "IndexException", "NullException", "LimitException")
 _CAUGHT = (
     *_CLASSES,
@@ -17,7 +17,7 @@ _CAUGHT = (
     *("CancelledException", "Node"),
 )
 
-#: By type, what can be written to. `#` with the types of its parts behind the last `|`.
+#: Assignable forms by type: each `#` is a part, with its types after the last `|`.
 _TARGETS: dict[str, tuple[str, ...]] = {
     "int": ("#.n|Node*", "#[#]|int[]* int", "#[0]|int[]*", "#[# % 3]|int[]* int"),
     "real": ("#.r|Node*", "#[#]|real[]* int", "#[1]|real[]*", "#[# % 3]|real[]* int"),
@@ -26,13 +26,13 @@ _TARGETS: dict[str, tuple[str, ...]] = {
     "int[]": ("#.a|Node*",),
     "string": ("#.s|Node*", "#[#]|string[]* int", "#[0]|string[]*"),
 }
-#: What makes an array longer or shorter, and sorts it; most of them often enough for several capacities.
+#: Statements that change the length of an array, or sort it; loops exceed several capacities.
 _GROWING = (
     *("#.append(#);|int[]* int", "#.append(#);|real[]* real", "#.append(#);|Node[]* Node"),
     *("#.insert(#, #);|int[]* int int", "#.insert(0, #);|real[]* real", "#.insert(1, #);|Node[]* Node"),
     *("#.pop();|int[]*", "#.remove(#);|real[]* int", "#.sort();|int[]*", "#.sort();|real[]*"),
     *("#.sort(before);|Node[]*", "#.sort(key);|Node[]*", "#.a.append(#);|Node* int"),
-    # What compares, and the key of an object, may throw.
+    # The comparison and the key may throw.
     *("#.sort(torn);|Node[]*", "#.sort(part);|Node[]*"),
     *("#.append(#);|string[]* string", "#.insert(#, #);|string[]* int string", "#.sort();|string[]*"),
     *(
@@ -43,7 +43,7 @@ _GROWING = (
     ),
     *("m2[#] = #;|string int[]", "m2[#].append(#);|string int", "m2[#] = #.slice(0, 1);|string int[]!"),
     *("for (string k6 : m0) s1 = s1 + k6;|", "for (int k6 : m1) i1 = i1 + k6;|", "q0 = m1.values();|"),
-    # The keys of a map are those at the start of a loop.
+    # A loop visits the keys of a map at its start.
     *("for (string k6 : m0) i0 = i0 + m0.remove(k6);|", "for (int k6 : m1) if (#) m1.remove(k6);|boolean"),
     *("for (int k6 : m1) m1[k6 * 3 - 1] = #;|Node", "for (string k6 : m2) m2[k6].append(m2.length());|"),
     *("for (string k6 : #) m0[k6] = i1;|string[]!", "for (Node k6 : #) i2 += k6.n;|Node[]!"),
@@ -55,7 +55,7 @@ _GROWING = (
 )
 
 
-#: By type, how values are assigned.
+#: Assignment operators by type.
 _ASSIGNMENTS = {
     "int": ("=", "=", "=", "+=", "-=", "*=", "/=", "%="),
     "real": ("=", "=", "=", "+=", "-=", "*=", "/=", "%="),
@@ -66,8 +66,8 @@ _ASSIGNMENTS = {
 class StatementGenerator:
     """Draws the body of a method.
 
-    `own` are the variables by type, `result` the type that the method gives, "" for none; `waits` are
-    statements that only the machine can carry out, `asks` those that call portals.
+    `own` are the variables by type, `result` is the result type of the method, or "". `waits` are statements
+    that leave the engine, `asks` statements with portal calls.
     """
 
     def __init__(
@@ -85,11 +85,11 @@ class StatementGenerator:
         self._loops, self._leavable, self._in_finally, self._names = 0, 0, False, 0
 
     def block(self, depth: int, most: int = 4) -> list[ProgramPiece]:
-        """Some statements of at most so many levels."""
+        """Draw statements with a maximum depth."""
         return [self.statement(depth) for _ in range(self.rng.randint(1, most))]
 
     def statement(self, depth: int) -> ProgramPiece:
-        """One statement."""
+        """Draw one statement."""
         draw = self.expressions.draw
         flat = ("grow",) * (4 * self.expressions.grows)
         flat += ("assign",) * 8 + ("element",) * 3 + ("call",) * 3 + ("throw", "leave", "wait", "print")
@@ -129,12 +129,12 @@ class StatementGenerator:
         return self._finally(depth)
 
     def wait(self) -> ProgramPiece:
-        """A statement that leaves the engine."""
+        """Draw a statement that leaves the engine."""
         asks = self._asks * 6 if self._coordination.calls else ()
         return self.expressions.form("", self.rng.choice(self._waits + asks), 1)
 
     def _call(self) -> ProgramPiece:
-        """Of any method: what it throws goes through its monitor, if it has one."""
+        """A call of any method, possibly synchronized, whose exceptions leave its monitor."""
         kind = self.rng.choice(list(self.expressions.calls))
         called = self.expressions.form(kind, self.rng.choice(self.expressions.calls[kind]), 1)
         return written("", f"{self.rng.choice(self._own[kind])} = #;", called)
@@ -152,7 +152,7 @@ class StatementGenerator:
         return written("", "# = #;", target, self.expressions.draw(kind))
 
     def _leave(self) -> ProgramPiece:
-        """Out of a loop or the method, where that may be."""
+        """A jump out of a loop or the method, where it is valid."""
         condition = self.expressions.draw("boolean")
         if self._leavable and self.rng.random() < 0.7:
             return written("", f"if (#) {self.rng.choice(('break', 'continue'))};", condition)
@@ -169,7 +169,7 @@ class StatementGenerator:
         return written("", "if (#) { # } else { # }", condition, self.block(depth - 1), self.block(depth - 1))
 
     def _loop(self, depth: int, body: Callable[[], list[ProgramPiece]] | None = None) -> ProgramPiece:
-        """Some rounds of a body, of a block if nothing is said."""
+        """A loop with some rounds of a body; the default body is a block."""
         body = body or (lambda: self.block(depth - 1))
         if self.rng.random() < 0.2:
             return written("", "while (#) { # }", self.expressions.draw("boolean"), self._looped(body, ""))
@@ -193,7 +193,7 @@ class StatementGenerator:
         return found
 
     def _jump(self, depth: int) -> ProgramPiece:
-        """A loop that is left through what ends in order: a finally, a time limit, a reservation, calls."""
+        """A loop with an exit through a finally, a time limit, a reservation, or running calls."""
 
         def body() -> list[ProgramPiece]:
             which = self.rng.choice(("finally", *(self._coordination.choices if self._asks else ())))
@@ -237,7 +237,7 @@ class StatementGenerator:
         return written("", "try { # } finally { # }", self.block(depth - 1), self._last(depth))
 
     def _last(self, depth: int) -> list[ProgramPiece]:
-        """The code of a finally: nothing leaves it but an exception."""
+        """The body of a finally, which only an exception leaves."""
         before = self._leavable, self._in_finally
         self._leavable, self._in_finally = 0, True
         body = self.block(depth - 1, 2)

@@ -1,4 +1,4 @@
-"""Values of L: usual ones, and those at the limits of a type or a function."""
+"""Values of L: usual ones, and limits of a type or a function."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import random
 
 from engine_fuzzer.program_tree import PLAIN
 
-#: Numbers that keep a program going.
+#: Usual numbers, which rarely cause exceptions.
 _USUAL: dict[str, tuple[str, ...]] = {
     "int": ("0", "1", "2", "3", "5", "7", "(-1)", "(-3)", "100"),
     "real": ("0.0", "1.0", "0.5", "(-1.5)", "2.0", "3.0", "0.1", "7.25"),
@@ -15,7 +15,7 @@ _USUAL: dict[str, tuple[str, ...]] = {
 }
 _INFINITY, _NAN = "(1e308 * 10.0)", "(1e308 * 10.0 - 1e308 * 10.0)"
 
-#: Around 0, 32 bits, the whole numbers that reals have, roots and the ends.
+#: Integers near 0, 32 bits, the largest exact integers of reals, roots, and the limits.
 _INTS = (
     *("0", "1", "2", "3", "7", "(-1)", "(-2)", "(-7)", "17", "18", "64", "1000000"),
     *("2147483647", "2147483648", "(-2147483648)", "4294967295", "4294967296", "3037000499", "3037000500"),
@@ -23,7 +23,7 @@ _INTS = (
     *("999999999999999999", "1000000000000000000", "9223372036854775295", "9223372036854775296"),
     *("9223372036854775806", "9223372036854775807", "(-9223372036854775807)", "(-9223372036854775807 - 1)"),
 )
-#: What rounds differently, what changes its sign or has two zeros: drawn more often than the others.
+#: Reals with special rounding, changes of sign, or two zeros; drawn more often than the others.
 _ROUNDED = (
     *(
         "0.0",
@@ -41,7 +41,7 @@ _ROUNDED = (
     *("0.49999999999999994", "(-0.49999999999999994)", "4503599627370495.5", "(-4503599627370495.5)"),
     *("4503599627370496.5", "9007199254740991.0", "9007199254740992.0", "(-9007199254740993.0)"),
 )
-#: Subnormal and smallest, largest, the ends of ints, of exponents and of arcs, infinite, and no number.
+#: Subnormal, smallest and largest reals, limits of ints, exponents and arcs, infinities, and NaN.
 _REALS = (
     *_ROUNDED,
     *("1.0", "(-1.0)", "1.0000000000000002", "0.9999999999999999", "3.0", "(-3.0)", "10.0", "0.1", "(-0.1)"),
@@ -64,7 +64,7 @@ _REALS = (
     *("709.782712893384", "709.7827128933841", "(-745.1332191019411)", "(-745.1332191019412)", "1024.0"),
     *("1.5707963267948966", "3.141592653589793", "800000.0", "1e15", _INFINITY, f"(-{_INFINITY})", _NAN),
 )
-#: Texts of numbers, almost of numbers, and of too large ones.
+#: Texts of valid, invalid, and too large numbers.
 _NUMERALS = (
     *("0", "-0", "+7", "-12", " 7 ", "\u2003-3\t", "007", "٣", "1_0", "", "-", "a", "null", "true"),
     *("999999999999999999", "-99999999999999999", "9223372036854775807", "9223372036854775808"),
@@ -83,7 +83,7 @@ _NUMERALS = (
         "0x1p3",
     ),
 )
-#: The first and the last character of 1, 2, 3 and 4 bytes, and on both sides of a next first byte.
+#: The first and last characters of 1, 2, 3 and 4 bytes, and characters on both sides of a new first byte.
 _CHARACTERS = (
     *"\0a\x7f\x80\xbf\xc0ßö\u07ff\u0800\u0e01\u0fff\u1000\ud7ff\ue000\uffff",
     *"\U00010000\U0001f916\U0003ffff\U00040000\U000fffff\U00100000\U0010ffff",
@@ -96,21 +96,21 @@ _EDGES: dict[str, tuple[str, ...]] = {
 
 
 def literal(rng: random.Random, kind: str) -> str:
-    """A value of a type; mostly a usual one. Of references there is the plain one only."""
+    """A literal of a type, mostly a usual one; references have only the plain one."""
     if kind not in _USUAL:
         return PLAIN[kind]
     return rng.choice(_USUAL[kind]) if rng.random() < 0.75 else edge(rng, kind)
 
 
 def edge(rng: random.Random, kind: str) -> str:
-    """A value at an edge of int, real, boolean or string."""
+    """An edge value of int, real, boolean or string."""
     if kind == "real" and rng.random() < 0.3:
         return rng.choice(_ROUNDED)
     return _string(rng) if kind == "string" else rng.choice(_EDGES[kind])
 
 
 def _string(rng: random.Random) -> str:
-    """A numeral, or some characters of a small alphabet, so that parts of it come again elsewhere."""
+    """A numeral, or characters of a small alphabet, so that strings have common parts."""
     if rng.random() < 0.35:
         return written_text(rng.choice(_NUMERALS))
     alphabet = "b", *rng.sample(_CHARACTERS, 3)

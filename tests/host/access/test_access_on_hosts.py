@@ -1,5 +1,4 @@
-"""Access rules on real hosts: which offers are hidden, which calls are refused, and hosts with other
-rules."""
+"""Access rules on real hosts: hidden offers, refused calls, and hosts with other rules."""
 
 from __future__ import annotations
 
@@ -47,7 +46,7 @@ async def test_a_forbidden_agent_is_not_offered_and_is_explained(team, /):
     alpha, _ = await up(team, IDLE)
     world = alpha.host.core.services
     for _ in range(2):
-        # One host answers for both in turn: each gets its own offers.
+        # One host answers both in turn: each receives its own offers.
         assert [found.agent for found in world.offers(FOREMAN, "Lift", None)] == ["near", "far"]
         assert [found.agent for found in world.offers(GUEST, "Lift", None)] == ["near"]
     assert world.teams(GUEST, "Lift", None, 2) == []

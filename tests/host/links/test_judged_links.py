@@ -1,4 +1,4 @@
-"""Certificates that expire, begin or are revoked while hosts run: which links close, and which may finish."""
+"""Certificates that expire, start or are revoked while hosts run: closed links, and links that may finish."""
 
 from __future__ import annotations
 

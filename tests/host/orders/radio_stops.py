@@ -139,7 +139,7 @@ class RadioWorld(World):
 
 
 class RadioDesk:
-    """A desk that gives one order after another, and keeps what it has learned of the hosts."""
+    """A desk that gives orders in sequence, and keeps the state of the hosts."""
 
     def __init__(self, world: RadioWorld) -> None:
         self.world, self.certificates = world, CertificateCache(person().authority)
@@ -182,7 +182,7 @@ class RadioDesk:
         yield from done.values()
 
     def lifted(self) -> None:
-        """Another person lifts the stop, and the desk learns it over its connections."""
+        """Another person lifts the stop, and the desk receives that over its connections."""
         for name, post in self.world.posts.items():
             post.orders.mark_executed("lift", self.world.rng.randbytes(16))
             post.held["stop"] = False

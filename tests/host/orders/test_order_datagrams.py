@@ -32,7 +32,7 @@ def orders_to(world: World, host: str, since: int = 0) -> list[bytes]:
 
 
 def taught(world: World) -> World:
-    """The hosts know the person's certificate, as after a connection."""
+    """Give the hosts the person's certificate, as after a connection."""
     for post in world.posts.values():
         signer = OrderSigner(person())
         post.datagrams._certificates.add_der(signer.certificate)
@@ -50,7 +50,7 @@ def test_an_order_with_a_present_epoch_takes_one_round_trip_of_small_datagrams()
     confirmed = [found for found in desk.asking.results.values() if isinstance(found, OrderConfirmed)]
     assert [found.safe for found in confirmed] == [("p.fc",)] * 5
     assert desk.asking.results.keys() == set(TEAM)
-    # The way there, the check, the device, and the way back.
+    # The request, the check, the device, and the answer.
     assert desk.done_at == pytest.approx(2 * 0.01 + 0.001 + 0.05)
     assert max(len(data) for host in TEAM for data in orders_to(world, host)) <= 300
     assert [len(orders_to(world, host)) for host in TEAM] == [1] * 5

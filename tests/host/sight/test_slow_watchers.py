@@ -24,7 +24,7 @@ class FastPrinter:
         self.watcher = watched(self.stream, watch, self.up)
 
     def run(self, seconds, *, reads=True, lines=20):
-        """The batches that are sent meanwhile."""
+        """Run, and return the sent batches."""
         sent = []
         for _ in range(round(seconds / MIN_INTERVAL)):
             append_lines(self.stream, lines)
@@ -60,7 +60,7 @@ def test_a_reader_that_paused_gets_one_loss_and_then_new_events():
     sent = host.run(5.0)
     assert len(losses(sent)) == 1
     assert sum(batch.snapshot is not None for batch in sent) == 1
-    # At once: it does not wait for the events that it has not read.
+    # Immediate: the watcher does not wait for its unread events.
     received = states(sent)
     assert stopped < received[0] <= stopped + 3 * 20
     assert received == list(range(received[0], host.stream.latest + 1))

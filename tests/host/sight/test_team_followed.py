@@ -1,4 +1,4 @@
-"""A team of real hosts as a client sees it that follows their events, in virtual time."""
+"""The view of a team of real hosts by a client that follows their events, in virtual time."""
 
 from __future__ import annotations
 

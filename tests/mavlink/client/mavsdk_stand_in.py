@@ -152,7 +152,7 @@ class _Endpoint(asyncio.DatagramProtocol):
         self._mavsdk._mavsdk.pass_received_raw_bytes(data)
 
     def send_soon(self, data: bytes) -> None:
-        """Called on a thread of MAVSDK."""
+        """Send a packet from a thread of MAVSDK."""
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._send, data)
 

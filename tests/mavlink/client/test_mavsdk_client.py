@@ -58,7 +58,7 @@ class Client:
         self.direct = MavlinkDirectAsync(system)
 
     async def ask_for_streams(self):
-        """As ground stations do: an ArduPilot sends no telemetry without a request."""
+        """Request telemetry, as ground stations do: an ArduPilot sends none without a request."""
         expected = {"target_system": 1, "target_component": 1, "req_stream_id": 0, "req_message_rate": 10}
         fields = json.dumps({**expected, "start_stop": 1})
         await self.direct.send_message(MavlinkMessage("REQUEST_DATA_STREAM", 0, 0, 1, 1, fields))
@@ -139,7 +139,7 @@ def test_takeoff_goto_return_to_launch_and_landing(flavour):
             lambda p: abs(p.latitude_deg - LATITUDE - 1e-4) < 1e-5 and abs(p.relative_altitude_m - 8.0) < 2.0,
         )
         if flavour == "px4":
-            # An ArduCopter without a transmitter sinks in what MAVSDK calls HOLD (LOITER).
+            # An ArduCopter without a transmitter descends in LOITER, which MAVSDK names HOLD.
             await c.action.hold()
             await until(c.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.HOLD)
         await c.action.return_to_launch()
@@ -157,7 +157,7 @@ def test_takeoff_goto_return_to_launch_and_landing(flavour):
 async def test_offboard_velocities_and_landing(c, /, flavour):
     await c.in_the_air()
     await c.offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
-    # PX4 enters OFFBOARD only when setpoints have come for 0.1 s.
+    # PX4 enters OFFBOARD only after 0.1 s of setpoints.
     await asyncio.sleep(0.5)
     await c.offboard.start()
     await until(c.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.OFFBOARD)
@@ -222,7 +222,7 @@ def test_ardupilot_mission_upload_pause_resume_and_clear():
         held = await c.raw_mission.download_mission()
         assert [(i.command, i.x, i.z) for i in held[1:]] == [(i.command, i.x, i.z) for i in plan[1:]]
         assert (held[0].frame, held[0].z) == (0, ALTITUDE)
-        # BRAKE, in which hold() leaves an ArduPilot, is no mode to arm in; GUIDED is that of takeoff().
+        # An ArduPilot cannot be armed in BRAKE, the mode of hold(); takeoff() uses GUIDED.
         await c.in_the_air()
         done = asyncio.create_task(
             until(c.raw_mission.subscribe_mission_progress(), lambda p: (p.current, p.total) == (4, 4))

@@ -1,4 +1,4 @@
-"""Gimbals and cameras of the fake, used by others: MAVSDK's plugins against a process, in real time."""
+"""Gimbals and cameras of the fake with MAVSDK's plugins, against a process, in real time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from test_mavsdk_client import ALTITUDE, BOTH, LATITUDE, LONGITUDE, fly, until
 
 pytestmark = [pytest.mark.process, pytest.mark.long]
 
-#: ArduPilot's gimbal hangs on its outputs, PX4's has a component id.
+#: ArduPilot's gimbal is connected to outputs, PX4's has a component id.
 FITTED = {"ardupilot": "gimbal,mavlink_camera", "px4": "mavlink_gimbal,mavlink_camera"}
 CAMERA = 100
 
@@ -55,7 +55,7 @@ def test_a_gimbal_is_found_controlled_and_pointed(flavour):
         await gimbal.set_angles(item.gimbal_id, 0.0, -10.0, 60.0, GimbalMode.YAW_LOCK, SendMode.STREAM)
         await until(gimbal.subscribe_attitude(), points(-10.0, 60.0))
         await gimbal.set_roi_location(item.gimbal_id, LATITUDE, LONGITUDE + 1e-3, ALTITUDE)
-        # MAVSDK sends its altitude as one above home.
+        # MAVSDK sends an altitude relative to home.
         await until(gimbal.subscribe_attitude(), lambda a: abs(a.euler_angle_forward.yaw_deg - 90.0) < 1.0)
         await gimbal.set_angular_rates(item.gimbal_id, 0.0, -20.0, 0.0, GimbalMode.YAW_FOLLOW, SendMode.ONCE)
         await until(gimbal.subscribe_attitude(), lambda a: a.euler_angle_forward.pitch_deg < -40.0)

@@ -50,7 +50,7 @@ def test_recorded_local_and_global_positions_agree(name):
             place = Place.scaled(fields["lat"], fields["lon"], fields["alt"])
             by_degrees[fields["time_boot_ms"]] = place
         if kind == "HOME_POSITION" and team is None:
-            # At some distance, as the origin of a team is.
+            # The origin of a team is at some distance.
             team = Origin(fields["latitude"] / 1e7 - 0.002, fields["longitude"] / 1e7 + 0.003, 400.0)
             placement = Placement(team)
         if kind not in MESSAGES or None in fields.values():

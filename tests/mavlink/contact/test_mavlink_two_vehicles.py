@@ -42,7 +42,7 @@ class Twin:
 
 
 def with_twin(bench, twin):
-    """The bench with both: each receives packets to its address and packets to all."""
+    """The bench with both vehicles: each receives packets to its address and broadcast packets."""
     bench._fakes = [*bench._fakes, twin.live]
 
     def passes(link, packet):
@@ -130,7 +130,7 @@ def test_second_vehicle_is_ignored_while_the_first_flies(bench, flavour):
 @BOTH
 @pytest.mark.parametrize("later", [False, True])
 def test_second_vehicle_does_not_replace_one_silent_in_flight(bench, flavour, later):
-    """The second one sends beside it, or is switched on during its silence."""
+    """The second vehicle sends at the same time, or is switched on during the silence of the first one."""
     b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
     twin = Twin(b, flavour)
     twin.there = False

@@ -232,7 +232,7 @@ def test_legs_of_a_jump_are_checked_against_the_fence():
 
 
 def test_ardupilot_needs_all_inclusion_zones_and_px4_one():
-    """ArduPilot must be in all of them, PX4 in one."""
+    """ArduPilot must be inside all zones, PX4 inside one."""
     zones = [_FIELD, zone((-60, -60), (-60, 10), (60, 10), (60, -60))]
     items = [UP, simple(WAYPOINT, 50, -30), simple(WAYPOINT, 50, 30)]
     assert found(plan(*items, polygons=zones), limits={}) == [("M106", 3)]

@@ -128,7 +128,7 @@ def test_missing_coordinates_mean_the_current_position():
     item = file.items[0].item
     assert (item.x, item.y) == (HERE, HERE)
     assert [(each.x, each.y) for each in file.mission(px4=True)] == [(HERE, HERE)]
-    # ArduPilot has 0, 0 for its own position, and refuses others that are not on the Earth.
+    # ArduPilot uses 0, 0 for its own position, and refuses other positions that are not on the Earth.
     assert [(each.x, each.y) for each in file.mission(px4=False)] == [(0, 0)]
     # In MAV_FRAME_MISSION parameters 5 and 6 are numbers.
     numbers = {**simple(203, frame=2), "params": [0, 0, 0, 0, 1, 2, 3]}

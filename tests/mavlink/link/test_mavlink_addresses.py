@@ -1,4 +1,4 @@
-"""The addresses that send with one system id, and whether they are one vehicle: packets and times."""
+"""Several addresses with one system id: the decision whether they are one vehicle, by packets and times."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def version(uid=0, uid2=b"", firmware=7):
 
 
 def run(sources, seconds, *senders, start=0.0, every=1.0, boards=None):
-    """Sends heartbeats of each sender for so many seconds; returns whether each was accepted last.
+    """Send heartbeats of each sender for some seconds; returns whether each was accepted at the end.
 
-    A sender that is asked for its board answers with its message in `boards`, if there is one.
+    A sender answers a query of its board with its message in `boards`, if there is one.
     """
     believed = {}
     for number in range(round(seconds / every) + 1):
@@ -109,7 +109,7 @@ def test_another_vehicle_does_not_replace_a_silent_one(first, has_id):
     assert run(s, 20.0, B, start=12.0, boards={B: others}) == {B: False}
     assert B.address in s.conflict(32.1)
     assert (s.address(0), s.moves) == (A.address, 0)
-    # It sends again, and is kept.
+    # The first vehicle sends again, and is kept.
     assert run(s, 5.0, A, B, start=33.0) == {A: True, B: False}
     run(s, 20.0, A, start=40.0)
     assert s.conflict(60.1) == ""

@@ -122,7 +122,7 @@ class Watched:
                     Order(frozenset({state.mode}), target=lambda _: None, goal=self.goals[0])
                 )
             else:
-                # The height that others command is unknown: it may descend.
+                # The height commanded by other stations is unknown: the vehicle may descend.
                 self.monitor.on_mode(state.mode if self.goals else "")
         if mode == "goal" and state.position and math.dist(state.position[:2], self.goals[0][:2]) < 1.0:
             self.goals.append(self.goals.pop(0))

@@ -13,7 +13,7 @@ from lfield_mavlink.monitors.descent_monitor import DESCENT, DescentMonitor, Exp
 
 
 def flown(monitor, *sinks, height=40.0, began=0.0, step=0.1, velocity=None, last=1.0):
-    """The findings while it sinks at these rates for `last` seconds each, at 10 Hz: seconds and text."""
+    """The findings during descents at these rates for `last` seconds each, at 10 Hz: seconds and text."""
     monitor.on_armed(True, landed=False, now=began)
     now, found = began, []
     for sink in sinks:

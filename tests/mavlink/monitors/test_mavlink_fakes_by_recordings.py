@@ -109,7 +109,7 @@ def recorded_heights(name, note, seconds):
 
 
 def assert_falls_alike(flight, heights, apart):
-    """The fake falls from now on, as far as the real vehicle at each time."""
+    """Assert that the fake falls like the real vehicle at each time from now on."""
     began, top = flight.autopilot.now, -flight.autopilot.vehicle.place[2]
     for at, height in heights:
         flight.wait(began + at - flight.autopilot.now)
@@ -135,7 +135,7 @@ def test_gps_loss_leads_to_the_ekf_failsafe_as_recorded():
 
 
 def test_battery_failsafe_acts_once_and_guided_ends_it_as_recorded():
-    """By voltage it acts after 10 s (BATT_LOW_TIMER); the fake's acts by charge. All else is equal."""
+    """The real failsafe acts by voltage after 10 s (BATT_LOW_TIMER), the fake's by charge."""
     real = recorded("ap-copter.gauntlet-a", "battery low (10 V), BATT_FS_LOW_ACT 1 land: begins", 48.0)
     acts = next(at for at, words in real if words.startswith("mode"))
     back = next(at for at, words in real if words.startswith(f"mode {GUIDED},") and at > acts)

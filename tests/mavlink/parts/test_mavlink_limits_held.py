@@ -33,7 +33,7 @@ class FlownMaxima:
 
 
 async def push(fc, *velocity):
-    """Commands a velocity until it is refused, then a stop."""
+    """Command a velocity until it is refused, then a stop."""
 
     async def on():
         while True:
@@ -48,7 +48,7 @@ async def push(fc, *velocity):
 
 
 async def tour(b, fc, *, flies, circles):
-    """Every motion instruction, up to the limits."""
+    """Execute every motion instruction, up to the limits."""
     down = -8.0 if flies else 0.0
     await fc.execute("arm", [])
     if flies:

@@ -241,7 +241,7 @@ def test_excess_of_the_radius_holds_and_ends_the_motion(limited, monkeypatch):
         await up(fc)
         astray = Setpoint(Reach((60.0, 0.0, -5.0)), control=SetpointControl.PLACE)
         monkeypatch.setattr(Autopilot, "guide", lambda self, _: guide(self, astray))
-        # Its target reports are dropped: else the driver would report a takeover.
+        # The target reports are dropped: otherwise the driver would report a takeover.
         target = dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
         b.filter = lambda link, packet: (
             None if any(m.get_msgId() == target for m in Reader().feed(packet)) else link.on_data(packet)

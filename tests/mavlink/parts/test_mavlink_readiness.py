@@ -147,7 +147,7 @@ def test_warm_copter_is_armed_directly_after_open(bench, gap):
 
 
 def test_arming_is_repeated_while_the_gcs_failsafe_clears(bench, monkeypatch):
-    # Else the failsafe would clear during the query of its unique id.
+    # Otherwise the failsafe would clear during the query of the unique id.
     monkeypatch.setattr("lfield_mavlink.vehicle.SECOND", 0.0)
     b = bench(ttl=1.0, waivers=())
     deliver = b.filter

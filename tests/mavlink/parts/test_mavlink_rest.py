@@ -1,4 +1,4 @@
-"""Remaining motion of a vehicle in its safe state: on the fakes, and by state."""
+"""Remaining motion of a vehicle in its safe state: on the fakes, and for given states."""
 
 from __future__ import annotations
 
@@ -294,7 +294,7 @@ def test_rover_steered_by_a_pilot_is_described():
 @pytest.mark.parametrize("order", [("goTo", [20.0, 0.0, -5.0]), ("setVelocity", [1.0, 0.0, 0.0])])
 @on_bench("bench", flavour="px4", safe_state="hold")
 async def test_refused_order_during_a_px4_landing_keeps_control(b, fc, /, order):
-    """Else the next safe state would be left to a pilot that does not exist."""
+    """Otherwise the next safe state would be left to a pilot, although there is none."""
     await up(fc)
     landing = asyncio.create_task(fc.execute("land", []))
     await asyncio.sleep(2.0)

@@ -12,7 +12,7 @@ from lfield.errors import DeviceError
 
 
 def slow(bench, seconds):
-    """Delays the packets of the driver by so many seconds."""
+    """Delay the packets of the driver by some seconds."""
     for link in bench.links:
         deliver, loop = link._deliver, asyncio.get_running_loop()
         link._deliver = lambda data, deliver=deliver, loop=loop: loop.call_later(seconds, deliver, data)

@@ -1,4 +1,4 @@
-"""Camera protocol v2: pictures, series, video, status; what a camera refuses, and what is lost on the way."""
+"""Camera protocol v2: pictures, series, video, status, refusals, and lost messages."""
 
 from __future__ import annotations
 

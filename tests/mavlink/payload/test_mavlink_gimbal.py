@@ -18,7 +18,7 @@ OTHER = (245, 190)
 
 
 def attached(flavour):
-    """ArduPilot's gimbal hangs on its outputs, PX4's has a component id."""
+    """Attach a gimbal: ArduPilot's is connected to outputs, PX4's has a component id."""
     return {} if flavour == "ardupilot" else {"payload": Payload(frozenset({"mavlink_gimbal"}))}
 
 
@@ -81,7 +81,7 @@ def test_another_station_in_control_is_an_error_until_control_is_taken(bench, fl
                 await fc.execute(instruction, arguments)
             assert raised.value.kind == "DeviceException"
         assert (gimbal.pitch_goal, gimbal.target) == (0.0, None)
-        # What another station controls is not released.
+        # A gimbal under the control of another station is not released.
         gimbal.target = (1.0, 2.0, 3.0)
         await fc.execute("releaseGimbal", [])
         assert (gimbal.primary, gimbal.target) == (OTHER, (1.0, 2.0, 3.0))

@@ -328,7 +328,7 @@ def test_any_listing_gives_a_bounded_number_of_entries(data):
 @settings(max_examples=15, deadline=None)
 @given(st.binary(min_size=PACKET, max_size=PACKET), st.integers(0, 15), st.booleans())
 def test_random_server_answers_end_in_bounded_time(noise, opcode, right_number):
-    """Answers with a right number and wrong contents end in a result or a declared error, in bounded time."""
+    """Answers with a correct number and wrong contents give a result or a declared error in bounded time."""
 
     def answer(message):
         request = decode(message.payload)

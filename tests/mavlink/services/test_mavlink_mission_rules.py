@@ -226,7 +226,7 @@ def test_heights_are_ignored_for_a_rover():
 
 
 def test_spline_curve_beyond_its_waypoints_is_checked():
-    # It turns back at 95 m: its incoming direction carries the curve out of the circle.
+    # The vehicle turns back at 95 m: the incoming direction moves the curve out of the circle.
     bulge = [item("NAV_WAYPOINT", -60.0), item("NAV_WAYPOINT", 0.0), item("NAV_SPLINE_WAYPOINT", 95.0, 0.0)]
     assert refusal(*bulge) == ""
     assert "the curve of item 2" in refusal(*bulge, item("NAV_WAYPOINT", -60.0))

@@ -1,4 +1,4 @@
-"""PX4 in OFFBOARD: what ends it, what ends with it, and motions that need a waiver."""
+"""PX4 in OFFBOARD: causes and effects of its end, and motions that need a waiver."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from takeoff import up
 
 from lfield_sim.autopilot.vehicle import Response
 
-#: By how much the limit of a binding may be exceeded in still air, and in 9 m/s of wind.
+#: The permitted excess over the limit of a binding in still air, and in 9 m/s of wind.
 STILL_AIR, WINDY = 1.05, 1.08
 VEHICLES = [("ardupilot", "copter"), ("ardupilot", "rover"), ("px4", "copter"), ("px4", "rover")]
 

@@ -17,7 +17,7 @@ from lfield_sim.mavlink.link.codec import PacketWriter
 
 #: QGroundControl, by default.
 QGC = (255, 190)
-#: Seconds of the vehicle's clock from the death of host and guard to the failsafe mode.
+#: Seconds of the vehicle's clock from the end of host and guard to the failsafe mode.
 BOUNDS = {("ardupilot", "copter"): 3.0, ("ardupilot", "rover"): 4.0, ("px4", "copter"): 2.0}
 BOUNDS |= {("px4", "rover"): 2.0}
 SAFE = {

@@ -1,4 +1,4 @@
-"""Hosts with several addresses, in order of preference: some are silent, dead, unknown or another host's."""
+"""Hosts with several addresses in order of preference: silent, closed, unknown, or of another host."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ async def test_a_silent_name_server_delays_no_other_address(name_table):
     assert loop.time() - before >= PREFERENCE_TIME
     link.close()
     there.close()
-    # Only the name is left: it is tried when the name server answers, also beside a dead address.
+    # Only the name is left: it is tried when the name server answers, also in parallel to a closed address.
     there, _ = await listening(f"127.0.0.3:{port}")
     late = asyncio.ensure_future(transport.connect(f"slow:{port},127.0.0.2:{port}", Recorder()))
     await asyncio.sleep(2 * PREFERENCE_TIME)

@@ -1,4 +1,4 @@
-"""Connection attempts beside silence: repeated attempts at an address, and a new link beside a silent one."""
+"""Connection attempts at silent addresses: repeated attempts, and a new link beside a silent one."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def test_hops_continue_over_the_other_network_and_are_executed_once(net):
         net.wait_for_stamps(count + STAMPS)
         gap = net.gap(failed, net.stamps()[count + STAMPS - 1][0])
         print(f"{kind.__name__} {NETWORKS[path]} at {host}: no hop for {gap:.2f} s")
-        # The same link would not even be suspected before.
+        # One link would not be suspected before this time.
         assert gap < SUSPECT_AFTER, net.text(failed)
         since = time.monotonic()
         net.up(host, NETWORKS[path]) if kind == net.down else net.drop_none(host)

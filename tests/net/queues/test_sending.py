@@ -86,7 +86,7 @@ class Slow(asyncio.Transport):
 
 
 class FarEnd(FramedLink):
-    """The other end."""
+    """The peer of the connection."""
 
     def __init__(self) -> None:
         super().__init__("near", 1 << 23)

@@ -11,7 +11,7 @@ from lfield.net.zenoh.packets import Kind, Packet, decode_packet
 
 
 class ChangingRelay:
-    """Relays TCP to a router. While `is_lying`, it changes a byte in the middle of each long read."""
+    """Relays TCP to a router. While `is_lying`, one byte in the middle of each long read is changed."""
 
     def __init__(self, endpoint: str) -> None:
         host, _, port = endpoint.removeprefix("tcp/").rpartition(":")

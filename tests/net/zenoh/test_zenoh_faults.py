@@ -1,4 +1,4 @@
-"""Zenoh with faults: dead, lying and missing routers, a stopped peer, a missing package."""
+"""Zenoh with faults: killed, corrupting and missing routers, a stopped peer, a missing package."""
 
 import asyncio
 import os
@@ -44,7 +44,7 @@ def tls_bench(router, team):
     bench.close()
 
 
-# Dead routers
+# Killed routers
 
 
 def test_a_router_restart_in_mid_hop_loses_no_transfer(router, tls_bench):

@@ -1,4 +1,4 @@
-"""A team of two copters by hand, and batches of events as its hosts would send them."""
+"""A scripted team of two copters, and batches of events in the form of its hosts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ INCARNATION = 7
 
 
 def inventory(frames: Frames | None = None) -> TeamContents:
-    """alpha and beta with a copter each, and a coordinator that begins on alpha."""
+    """alpha and beta with a copter each, and a coordinator that starts on alpha."""
     agents = {
         "one": TeamEntry("one", "Copter", "alpha", "resource"),
         "two": TeamEntry("two", "Copter", "beta", "resource"),
@@ -52,7 +52,7 @@ class ScriptedHost:
         lost: dict[str, int] | None = None,
         snapshot: Status | None = None,
     ) -> EventBatch:
-        """Events of that time, in a batch that is sent at once."""
+        """Events of that time, in a batch that is sent immediately."""
         after = self.number
         told = [self.event(up, what) for what in whats]
         self.batches += 1

@@ -1,4 +1,4 @@
-"""Background tasks end with the body they run beside, and end it when they fail."""
+"""Background tasks end with the body of their context, and end it when they fail."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class PlayedHost:
             self.links.remove(link)
 
     def happens(self, *whats: StateEvent) -> None:
-        """Sent at once to each link."""
+        """Send events immediately to each link."""
         batch = self.teller.batch(2.0, *whats)
         self.history += batch.events
         for link in self.links:
@@ -79,7 +79,7 @@ class PlayedHost:
         return [message for message in self.heard if isinstance(message, kind)]
 
 
-class RecordingHearer:
+class EventRecorder:
     """Records the batches and link changes."""
 
     def __init__(self) -> None:
@@ -120,12 +120,12 @@ class Scene:
 
     def __init__(self, since: int | None = None) -> None:
         self.network = MemoryNetwork(LoopClock(), on_pending=self._pending)
-        self.ears, self.address = RecordingHearer(), ADDRESS
+        self.recorder, self.address = EventRecorder(), ADDRESS
         self.follower = EventFollower(
             Desk(self.network.transport("desk")),  # type: ignore[arg-type]
             ["alpha"],
             self._reach,
-            self.ears,
+            self.recorder,
             LoopClock(),
             FollowOptions(since=since, hint=lambda: "it may not run"),
         )
@@ -136,7 +136,7 @@ class Scene:
     def _pending(self) -> None:
         due = self.network.next_due()
         if due is not None:
-            # A loop may wake a tick of its clock too early, with nothing due.
+            # A loop may wake one tick of its clock too early, without due timers.
             asyncio.get_running_loop().call_at(due + 1e-6, self._deliver)
 
     def _deliver(self) -> None:
@@ -144,17 +144,17 @@ class Scene:
         self._pending()
 
 
-def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) -> RecordingHearer:
+def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) -> EventRecorder:
     """Run a story while a follower runs."""
 
-    async def main() -> RecordingHearer:
+    async def main() -> EventRecorder:
         scene = Scene(since)
         following = asyncio.create_task(scene.follower.run())
         await asyncio.sleep(0)
         await story(scene)
         following.cancel()
         await asyncio.gather(following, return_exceptions=True)
-        return scene.ears
+        return scene.recorder
 
     return run_jumping(main())
 
@@ -169,10 +169,10 @@ def test_batches_are_forwarded_and_acknowledged() -> None:
         assert first == 1
         assert others == list(range(1, len(others) + 1))
 
-    ears = played(story)
-    assert ears.peers == ["a", "b"]
-    assert ears.log[-1] == "alpha linked"
-    assert len(ears.took) == 1
+    recorder = played(story)
+    assert recorder.peers == ["a", "b"]
+    assert recorder.log[-1] == "alpha linked"
+    assert len(recorder.took) == 1
 
 
 def test_each_event_arrives_once_across_a_broken_link() -> None:
@@ -189,9 +189,9 @@ def test_each_event_arrives_once_across_a_broken_link() -> None:
         await asyncio.sleep(4.0)
         assert host.all(Subscribe)[-1] == Subscribe(7, 1, 0.0)
 
-    ears = played(story)
-    assert ears.peers == ["a", "b", "c"]
-    assert "the connection was lost" in ears.log[1]
+    recorder = played(story)
+    assert recorder.peers == ["a", "b", "c"]
+    assert "the connection was lost" in recorder.log[1]
 
 
 def test_repeated_events_are_dropped_and_gaps_are_counted() -> None:
@@ -211,7 +211,7 @@ def test_missing_events_are_counted_once_by_their_numbers() -> None:
     told = host.batch(2.0, *(LinkUp(text) for text in "bcdef"))
     kept = replace(told, events=[event for event in told.events if event.number in (3, 6)], lost={"state": 3})
     assert cursor.accept(kept).lost == {"state": 3}
-    # It arrives again, since it was in transit when the host was subscribed to again.
+    # The event arrives again, because it was in transit at the new subscription.
     again = cursor.accept(kept)
     assert (again.lost, again.events) == ({}, [])
     # Events missing at the end of a batch are counted only when another event follows.
@@ -244,10 +244,10 @@ def test_a_restarted_host_is_followed_from_its_first_event() -> None:
         host.happens(LinkUp("c"))
         await asyncio.sleep(1.0)
 
-    ears = played(story)
-    assert ears.peers == ["a", "b", "c"]
-    assert {batch.incarnation for batch in ears.batches} == {7, 8}
-    assert all(batch.lost == {} for batch in ears.batches)
+    recorder = played(story)
+    assert recorder.peers == ["a", "b", "c"]
+    assert {batch.incarnation for batch in recorder.batches} == {7, 8}
+    assert all(batch.lost == {} for batch in recorder.batches)
 
 
 @pytest.mark.parametrize(
@@ -266,8 +266,8 @@ def test_a_host_that_starts_later_is_followed_from_its_first_event() -> None:
         assert asked.incarnation not in (0, 7)
         assert asked.after == 0
 
-    ears = played(story)
-    assert "no program listens" in ears.log[0]
+    recorder = played(story)
+    assert "no program listens" in recorder.log[0]
 
 
 def test_a_host_found_later_at_another_address_is_followed_from_its_first_event() -> None:
@@ -279,9 +279,9 @@ def test_a_host_found_later_at_another_address_is_followed_from_its_first_event(
         scene.address = ADDRESS
         await asyncio.sleep(MAX_RETRY + 1.0)
 
-    ears = played(story)
-    assert ears.peers == ["a"]
-    assert all(line.endswith("; it may not run") for line in ears.log[:-1])
+    recorder = played(story)
+    assert recorder.peers == ["a"]
+    assert all(line.endswith("; it may not run") for line in recorder.log[:-1])
 
 
 def test_a_host_that_hangs_is_disconnected_and_connected_again() -> None:
@@ -293,8 +293,8 @@ def test_a_host_that_hangs_is_disconnected_and_connected_again() -> None:
         await asyncio.sleep(SILENCE_TIMEOUT + 2 * CHECK_INTERVAL)
         assert len(host.all(Subscribe)) >= 2
 
-    ears = played(story)
-    assert any(line.startswith("nothing received for") for line in ears.log)
+    recorder = played(story)
+    assert any(line.startswith("nothing received for") for line in recorder.log)
 
 
 def test_a_refusal_is_reported_and_retried_slowly() -> None:
@@ -304,9 +304,9 @@ def test_a_refusal_is_reported_and_retried_slowly() -> None:
         await asyncio.sleep(60.0)
         assert 10 < len(host.all(Subscribe)) < 20
 
-    ears = played(story)
-    assert "alpha refused: anna may do nothing" in ears.log
-    assert "alpha linked" not in ears.log
+    recorder = played(story)
+    assert "alpha refused: anna may do nothing" in recorder.log
+    assert "alpha linked" not in recorder.log
 
 
 def test_a_host_is_subscribed_to_again_every_minute_against_clock_drift() -> None:
@@ -319,7 +319,7 @@ def test_a_host_is_subscribed_to_again_every_minute_against_clock_drift() -> Non
             await asyncio.sleep(REQUEST_INTERVAL)
         assert host.all(Subscribe)[1:] == [Subscribe(7, number, 0.0) for number in (1, 2, 3, 4)]
 
-    ears = played(story)
-    assert ears.peers == ["a", "b", "c", "d"]
-    assert ears.took == [pytest.approx(0.2, abs=0.01)] * 5
-    assert all(batch.lost == {} for batch in ears.batches)
+    recorder = played(story)
+    assert recorder.peers == ["a", "b", "c", "d"]
+    assert recorder.took == [pytest.approx(0.2, abs=0.01)] * 5
+    assert all(batch.lost == {} for batch in recorder.batches)

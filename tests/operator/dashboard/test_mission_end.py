@@ -1,4 +1,4 @@
-"""The end of a mission, as a subscriber of its hosts sees it."""
+"""The end of a mission as observed by a subscriber of its hosts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state of this operator's orders, for as long as it holds."""
+"""The state of this operator's orders while they are valid."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Computer:
         return stamp
 
     def hears(self, host: str, stamp: int, now: float) -> None:
-        """A message of another host arrives."""
+        """Receive a message of another host."""
         self.clock.merge(host, stamp, self.up + now)
 
 

@@ -1,4 +1,4 @@
-"""The buttons an operator has: by the certificate over a network, by the user on this computer."""
+"""The buttons of an operator: by the certificate over a network, by the user on this computer."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def test_an_earlier_bundle_on_a_robot_outside_the_mission_is_no_division() -> No
     statuses = team(alpha=TWO, bravo=TWO, carol=THREE)
     assert names(statuses) == ["two"]
     assert divided_hosts(statuses) == []
-    # It is one if the robot runs that mission, which cannot reach the others any more.
+    # The team is divided if the robot runs that mission, which can no longer reach the other robots.
     statuses["carol"] = replace(statuses["carol"], run=RunInfo(THREE.digest, "running"))
     assert divided_hosts(statuses) == ["alpha", "bravo", "carol"]
     # A robot of the mission with an earlier bundle is a division.
@@ -97,7 +97,7 @@ def test_a_bundle_without_a_description_counts_where_it_is_active() -> None:
 
 
 def idle(run: dict[str, str], **where: str) -> tuple[dict[str, tuple[str, bool]], bool]:
-    """The idle coordinators of a mission with `pilot` of alpha and `wing` of bravo, by name; and if all are.
+    """The idle coordinators of a mission with `pilot` of alpha and `wing` of bravo, and whether all are idle.
 
     `run` has the phases of the hosts, `where` the state of each coordinator on its home.
     """

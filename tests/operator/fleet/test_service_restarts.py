@@ -82,7 +82,7 @@ def test_a_restarting_service_is_asked_again_for_a_bounded_time() -> None:
 
 
 async def first_states(away: tuple[float, float]) -> tuple[Any, float]:
-    """The first state that a push gets from a service, and when."""
+    """The first state that a push receives from a service, and the time."""
     links = DirectLinks(ServiceState("alpha"), ServiceState("bravo", away))
     return (await service_states(links, ["bravo"]))["bravo"], elapsed()
 

@@ -22,7 +22,7 @@ LONG = 300.0
 
 
 class RobotLink:
-    """A link to a robot that is in the network until `gone`, and has stopped after `busy` seconds."""
+    """A link to a robot that leaves the network at `gone`, and has stopped after `busy` seconds."""
 
     peer = "bravo"
     who = Identity("host", "bravo", ALL_RIGHTS)

@@ -24,7 +24,7 @@ from lfield.wire.messages import Hello, Message
 from lfield.wire.observer_messages import EmergencyStop, Pause
 from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 
-#: A host needs so many seconds to make its devices safe, and a connection so many round trips.
+#: Seconds in which a host makes its devices safe, and round trips of a new connection.
 EXECUTES, HANDSHAKE = 0.02, 3.0
 
 

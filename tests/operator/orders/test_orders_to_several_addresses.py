@@ -82,7 +82,7 @@ async def test_a_name_server_that_does_not_answer_delays_no_other_address(
     await until(sent, 1)
     assert sent == ["127.0.0.2"]
     blocked.set()
-    # The next repetition goes to both.
+    # The next repetition is sent to both addresses.
     async with asyncio.timeout(30.0):
         while "127.0.0.9" not in sent:
             orders.finish("alpha")

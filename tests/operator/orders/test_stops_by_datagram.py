@@ -1,4 +1,4 @@
-"""Orders of an operator by datagrams and connections at once: the first confirmation counts."""
+"""Orders of an operator by datagrams and connections in parallel: the first confirmation counts."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def test_fifty_hosts_are_stopped_at_loss():
 
 
 def standing_of(network, after):
-    """An open connection answers after so many seconds, or fails then."""
+    """An open connection that answers or fails after some seconds."""
 
     async def order(host, message):
         await asyncio.sleep(abs(after))

@@ -25,7 +25,7 @@ class Page:
         self.link = self.line()
 
     def line(self) -> str:
-        """The next line that it prints: a link, or the button that was pressed."""
+        """The next line of its output: a link, or the pressed button."""
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
@@ -40,7 +40,7 @@ class Page:
 
     @contextmanager
     def suspended(self) -> Iterator[None]:
-        """The server does not answer."""
+        """Suspend the server within this context."""
         os.kill(self.process.pid, signal.SIGSTOP)
         try:
             yield

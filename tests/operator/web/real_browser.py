@@ -1,4 +1,4 @@
-"""Chromium without a window, cut off from everything but this computer, and the actions of a user."""
+"""Headless Chromium with access to this computer only, and the actions of a user."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class Browser:
 
     @contextmanager
     def phone(self, width: int, height: int) -> Iterator[None]:
-        """The window is that of a phone."""
+        """Set the window size of a phone."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": True}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         try:
@@ -133,7 +133,7 @@ class Browser:
             self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
     def evaluate(self, expression: Callable[[], T]) -> T:
-        """The value of an expression; it is evaluated again if the page is redrawn meanwhile."""
+        """The value of an expression, which is evaluated again if the page is redrawn."""
         found: list[T] = []
         self.wait(lambda: found.append(expression()) or True)
         return found[0]

@@ -1,4 +1,4 @@
-"""How long and how many unauthenticated connections the page's socket keeps; authenticated ones stay."""
+"""Limits of unauthenticated connections to the page's socket; authenticated ones stay."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Caller:
         self.peer = writer.get_extra_info("sockname")
 
     async def heard(self) -> bool:
-        """If the other end is still connected."""
+        """Return true if the other end is still connected."""
         try:
             self.writer.write(b"?")
             return await asyncio.wait_for(self._reader.read(1), PATIENCE) == b"?"
@@ -44,14 +44,15 @@ class Caller:
             return False
 
     async def gone(self) -> None:
-        """Until the other end has closed the connection."""
+        """Wait until the other end has closed the connection."""
         with suppress(ConnectionError):
             assert await asyncio.wait_for(self._reader.read(1), PATIENCE) == b""
 
 
 def tried(story: Callable[..., Awaitable[None]]) -> None:
-    """A story of connections at a socket: `call` makes an accepted connection, `late` ends the time of
-    unauthenticated ones.
+    """Run a test with connections to a socket.
+
+    `call` opens an accepted connection, `late` expires the limit of unauthenticated ones.
     """
 
     async def run() -> None:

@@ -94,7 +94,7 @@ def test_a_host_held_by_a_vote_is_named(browser, page):
     assert "vote" not in browser.text("host-bravo")
 
 
-#: How often each of these colours is in a chart.
+#: The number of pixels of each of these colours in a chart.
 _COLOURS = """
 const canvas = document.querySelector(`[data-testid=plot-${arguments[0]}] canvas`);
 const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
@@ -179,7 +179,7 @@ def test_the_page_is_operable_by_keyboard_alone(browser, page):
     assert press(Keys.TAB) == "pause"
     assert press(Keys.TAB) == "resume"
     assert press(Keys.TAB) == "lift"
-    assert press(Keys.ENTER) == "no", "what changes nothing has the focus"
+    assert press(Keys.ENTER) == "no", "the focus is on an element without effect"
     press(Keys.ESCAPE)
     browser.wait(lambda: not browser.thing("no").is_displayed())
     assert press(Keys.ENTER, Keys.TAB) == "yes"
@@ -187,7 +187,7 @@ def test_the_page_is_operable_by_keyboard_alone(browser, page):
     assert page.line() == "pressed lift"
     observed = [press(Keys.TAB) for _ in range(24)]
     assert "query" in observed
-    assert "stop" in observed, "it goes round, and there is no trap"
+    assert "stop" in observed, "the focus returns to the first element"
 
 
 def test_an_invalid_query_is_answered_with_its_mistakes(browser, shared_page):
@@ -307,7 +307,7 @@ def test_a_suspended_page_catches_up(browser, page):
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "frozen"})
     page.do("kill bravo")
     page.do("count alpha 1100")
-    # Only then: a page that resumes in between misses nothing.
+    # Only then, so that a page that resumes in between misses no events.
     assert page.line() == "counted"
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
     browser.says("log", "line 1099")
@@ -333,7 +333,7 @@ REDRAWN = """data:text/html,<p data-testid=state>here</p><script>
 
 @pytest.mark.few(0)
 def test_elements_that_a_page_redraws_continuously_are_read(browser):
-    """The helpers of these tests themselves."""
+    """Test the helpers of these tests."""
     browser.driver.get(REDRAWN)
     browser.wait(lambda: browser.thing("state").get_attribute("class"))
     told = {(browser.text("state"), browser.thing("state").get_attribute("class")) for _ in range(10)}

@@ -206,7 +206,7 @@ class Echo(asyncio.Protocol):
 
 
 async def answers(address: str, port: int, root: BrowserCa) -> bool:
-    """If a browser that trusts this root reaches the page at an address."""
+    """Return true if a browser that trusts this root reaches the page at an address."""
     context = ssl.create_default_context(cadata=root.certificate.decode())
     try:
         reader, writer = await asyncio.open_connection(address, port, ssl=context, server_hostname=NAME)
@@ -221,7 +221,7 @@ async def answers(address: str, port: int, root: BrowserCa) -> bool:
 async def test_the_page_is_served_at_the_current_addresses_of_its_name(
     keys: WebKeys, root: BrowserCa, monkeypatch
 ) -> None:
-    """Also for the other address family, and where an address of the name does not exist yet."""
+    """The rule holds for both address families, and before an address of the name exists."""
     leads, real = ["192.0.2.1", "127.0.0.2", "10.99.99.99"], socket.getaddrinfo
 
     def found(host, port, *words, flags=0, **more):

@@ -49,7 +49,7 @@ def test_lift_and_resume_ask_for_confirmation(browser, page):
     browser.thing("lift").click()
     browser.thing("no").click()
     browser.thing("pause").click()
-    assert page.line() == "pressed pause", "a lift that was not meant is not done"
+    assert page.line() == "pressed pause", "an unconfirmed lift is carried out"
     browser.says("host-alpha", "paused")
     browser.confirm("resume")
     assert page.line() == "pressed resume"
@@ -68,7 +68,7 @@ def test_a_dead_host_is_shown_with_its_last_state(browser, page):
     browser.wait(lambda: browser.text("vehicle-wing") != age)
     assert browser.text("place-wing") == place
     assert "old" not in browser.thing("vehicle-lead").get_attribute("class")
-    # The coordinator there is as grey as the vehicle.
+    # The coordinator has the grey of its vehicle.
     greys = (
         "return [...document.querySelectorAll('.mind.old path, .marker.old .dart')]"
         ".map((each) => getComputedStyle(each).fill)"
@@ -91,7 +91,7 @@ def test_a_stop_that_reaches_no_host_is_shown_while_it_holds(browser, page_of):
         browser.says(f"unreached-{host}", f"{host} NOT REACHED: no program listens there")
     browser.says("halt", "Stop pressed: 2 not confirmed")
     browser.says("state", "STOP has NOT REACHED alpha, bravo")
-    assert browser.all("latch-lead-fc") == [], "it does not look as if it had stopped"
+    assert browser.all("latch-lead-fc") == [], "the vehicle is shown as stopped"
     browser.thing("pause").click()
     browser.says("order-pause", "alpha NOT REACHED")
     browser.confirm("resume")

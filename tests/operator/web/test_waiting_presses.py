@@ -1,4 +1,4 @@
-"""Button presses while the server did not run, of a browser that has given up since."""
+"""Button presses while the server was stopped, from a browser that has cancelled them since."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.process
 
 
 class Client:
-    """A browser's requests at a page: each press on a connection of its own."""
+    """A browser's requests at a page: each press on a separate connection."""
 
     def __init__(self, page) -> None:
         link = urlsplit(page.link)

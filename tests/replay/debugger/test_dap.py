@@ -1,4 +1,4 @@
-"""The Debug Adapter Protocol over a socket pair, as an editor speaks it."""
+"""The Debug Adapter Protocol of an editor over a socket pair."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ def test_an_assigned_object_is_a_change_at_any_address(debugger):
     heights = []
     for place in found:
         debugger.go_to(place)
-        # A hop and a record keep no value that is not read any more: it is null.
+        # A hop and a record drop values that are no longer read: they are null.
         if debugger.evaluate("first")[0] is not None:
             heights.append(debugger.evaluate("first.height")[0])
     assert len(heights) == len(set(heights)) == 4

@@ -1,4 +1,4 @@
-"""Copies of coordinators on a host of the model, its messages about them, and the terminations it knows."""
+"""Copies of coordinators on a host of the model, messages about them, and known terminations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Transfer(NamedTuple):
 
 
 class Inquire(NamedTuple):
-    """Did this transfer arrive?"""
+    """A query whether a transfer has arrived."""
 
     agent: str
     generation: int
@@ -27,7 +27,7 @@ class Inquire(NamedTuple):
 
 
 class TransferVerdict(NamedTuple):
-    """The verdict on a transfer: it has arrived (`accepted`), or it never will."""
+    """The verdict on a transfer: it has arrived (`accepted`), or it can no longer arrive."""
 
     agent: str
     generation: int
@@ -39,7 +39,7 @@ class TransferVerdict(NamedTuple):
 class Copy:
     """A copy of a coordinator on a host; `kept` once it is durable.
 
-    `to` is the host that it leaves for, or where it has terminated.
+    `to` is the target of its departure, or the host of its termination.
     """
 
     generation: int

@@ -37,14 +37,14 @@ from lfield.wire.quorum_messages import Promise, Propose, QuorumMessage
 if TYPE_CHECKING:
     from quorum_world import Computer, World
 
-#: Between the starts that recoveries may make.
+#: The interval between the generations of recoveries.
 STRIDE = 65536
-#: More ticks in one second mean that the host does nothing else.
+#: Ticks in one second above which the core is due without end.
 BUSY = 100
 
 
 class HostLife:
-    """One process. It sees only its own clock; the judge sees its actions."""
+    """One process with its own clock; the judge observes its actions."""
 
     def __init__(self, world: World, computer: Computer, number: int) -> None:
         self.world, self.computer, self.name = world, computer, computer.name
@@ -63,7 +63,7 @@ class HostLife:
         }
         self._disk_free, self._armed = 0.0, float("inf")
         self._ticks: deque[float] = deque(maxlen=BUSY)
-        #: Real times at which it got the lease, and at which each coordinator arrived.
+        #: Real times at which the host got the lease, and at which each coordinator arrived.
         self._leased: float | None = None
         self._until = float("-inf")
         self._here: dict[str, float] = {}
@@ -253,7 +253,7 @@ class HostLife:
 
     @property
     def until(self) -> float:
-        """Until when, in real seconds, a command of now may move a device."""
+        """The real time until which a command of now may move a device."""
         return min(self.computer.real(self.core.lease.valid_until), self.world.now + LEASE)
 
     def healthy_since(self, agent: str, below: int) -> float | None:
@@ -357,7 +357,7 @@ class HostLife:
                 self.carry_out(self.core.on_message(sender, message, self.clock))
 
     def _promise(self, sender: str, message: Propose) -> None:
-        """Promise; the judge sees which termination this member knew before."""
+        """Promise a recovery; the judge records the termination that this member knew before."""
         knew = self.ends.known(message.agent, self.copies.get(message.agent))
         effects = self.core.on_message(sender, message, self.clock)
         sent_messages = [effect.message for effect in effects if isinstance(effect, SendQuorumMessage)]
@@ -367,7 +367,7 @@ class HostLife:
         self.carry_out(effects)
 
     def _decide(self, sender: str, asked: Transfer | Inquire) -> None:
-        """An old number gets its old verdict; a fenced start is refused."""
+        """Decide on a transfer: an old number gets its old verdict, a fenced start is refused."""
         agent, generation, sequence = asked
         seen, taken = self.verdicts.get((agent, generation), (-1, False))
         if sequence > seen:

@@ -1,4 +1,4 @@
-"""The observer of all hosts in real time: no two copies act, and a healthy holder is not fenced."""
+"""The judge of all hosts in real time: no two copies act, and a healthy holder is not fenced."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from quorum_scenario import LEASE
 if TYPE_CHECKING:
     from quorum_world import World
 
-#: A start that has had a lease for so many seconds, while all hosts were up, must not be fenced.
+#: Seconds of a lease, with all hosts up, after which a start must not be fenced.
 WELL = 4.0 * LEASE
 
 
@@ -20,7 +20,7 @@ class Breach(AssertionError):
 
 @dataclass
 class Action:
-    """A portal call that moves a device. It ends by itself, or when the time of its command is over."""
+    """A portal call that moves a device until its end, or until its command expires."""
 
     host: str
     token: tuple[int, int]

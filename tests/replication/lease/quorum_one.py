@@ -1,4 +1,4 @@
-"""A single host with its core; the test sends all its messages."""
+"""A single host with its core; the test sends all messages."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class Scenario:
 
 
 def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: float = 40.0) -> Scenario:
-    """The scenario of a seed, with at most so many hosts and faults.
+    """The scenario of a seed, with a maximum number of hosts and faults.
 
     Each scenario has some kinds of faults only: the effects of one kind could hide those of another.
     """

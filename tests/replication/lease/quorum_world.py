@@ -1,4 +1,4 @@
-"""Hosts that consist of the quorum core, and the real time, which none of them knows.
+"""Hosts that consist of the quorum core, and the real time, which is unknown to them.
 
 Each host has a clock with its own rate, which restarts when its computer boots. Messages are lost, delayed
 and reordered; links are cut, also in one direction. The run is determined by a scenario and its seed.
@@ -21,7 +21,7 @@ from lfield.wire.coordinator_messages import Locate
 
 #: The delay of a message in seconds, normal and slow.
 SWIFT, SLOW = (0.001, 0.02), (0.05, 3.0)
-#: After all faults, every coordinator acts after so many seconds and three of its intervals.
+#: Seconds, in addition to three heartbeat intervals, in which every coordinator acts after all faults.
 PATIENCE = 12.0
 #: The duration of a commit in seconds, normal and on a slow disk.
 COMMIT, SLOW_COMMIT = (0.001, 0.02), (0.2, 4.0)
@@ -208,7 +208,7 @@ class World:
 
 
 def judged(scenario: Scenario, core: type[Quorum] = Quorum) -> World:
-    """Run the whole scenario, then a time without faults: every coordinator acts again, or has terminated."""
+    """Run the scenario, then a time without faults: every coordinator acts again, or has terminated."""
     world = World(scenario, core)
     world.run(scenario.until)
     world.heal()

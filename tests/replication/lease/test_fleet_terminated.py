@@ -174,7 +174,7 @@ def test_an_end_is_sent_to_others_only_when_it_is_durable_at_its_host(
 
 
 def test_an_end_known_only_by_its_host_is_not_final(tmp_path: Path) -> None:
-    """The host with the end is cut off from all others: it has no lease, and they continue."""
+    """The host with the end is isolated: it has no lease, and the other hosts continue."""
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.8)
     for other in "ac":
@@ -190,7 +190,7 @@ def test_an_end_known_only_by_its_host_is_not_final(tmp_path: Path) -> None:
 
 
 def cut_off_at_the_end(folder: Path, *, until_done: bool = True) -> tuple[Fleet, Breaches]:
-    """boss ends on b, which is cut off; others would recover it after ten seconds."""
+    """Let boss end on b, which is isolated; other hosts would recover it after ten seconds."""
     slow = mission(folder, interval=10.0)
     fleet, breaches = judged(slow, lost_after=5.0 if until_done else None)
     fleet.run(0.9)

@@ -1,4 +1,4 @@
-"""The answers of one host, and when its coordinators may act; no message brings it into disorder."""
+"""The answers of one host, and the permission of its coordinators to act, after any messages."""
 
 from __future__ import annotations
 

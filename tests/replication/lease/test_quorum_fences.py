@@ -1,4 +1,4 @@
-"""Fencing tokens only rise, and two hosts with the same digest have the same tokens."""
+"""Fencing tokens only increase, and two hosts with equal digests have equal tokens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a suspicion to a recovery: which hosts are asked, when it is abandoned, and how long it takes."""
+"""From a suspicion to a recovery: the queried hosts, the duration, and an abandoned recovery."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfield.wire.quorum_messages import Heartbeat, HeldRecord, Promise, Propose
 
 
 def suspecting(**given) -> One:
-    """A host that has begun to ask."""
+    """A host that has started its queries."""
     one = One(saved=shadow(), **given)
     one.pass_time(INTERVAL - 0.1)
     assert {host for host, _ in messages_of(one.pass_time(0.4), Locate)} == {"b", "c"}
@@ -19,7 +19,7 @@ def suspecting(**given) -> One:
 
 
 def proposing() -> tuple[One, int]:
-    """A host that has asked, and proposes a generation."""
+    """A host that has finished its queries and proposes a generation."""
     one = suspecting()
     one.on_message("b", unknown())
     generation = proposed(one.pass_time(0.5))

@@ -141,7 +141,7 @@ class JournaledWorld(World):
         return left is not None and left.generation == newest and left.state in ("MOVED", "IN DOUBT")
 
     def declare_newer_lost(self, host: JournaledHost, agent: str) -> bool:
-        """Declare all hosts with newer copies of an agent lost; whether that is true."""
+        """Declare all hosts with newer copies of an agent lost; returns whether they are."""
         left = host.mobility.recoverable_state(agent)
         here = left.generation, left.sequence
         for name in self.names:
@@ -218,7 +218,7 @@ class JournaledWorld(World):
             assert alive or start in self.excused, f"{start} is on no disk"
 
     def forgotten(self, identity: tuple[str, int, int]) -> bool:
-        """Whether an accepted copy was never saved: its host crashed first, and had not answered."""
+        """True if an accepted copy was not saved: its host crashed before the save and the answer."""
         agent, generation, sequence = identity
         pages = (disk.get(RecordKey("copy", agent, generation)) for disk in self.disks.values())
         return not any(page is not None and page.sequence > sequence for page in pages)

@@ -1,4 +1,4 @@
-"""One host of the mobility core, and what it sends."""
+"""One host of the mobility core, and its sent messages."""
 
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Effect, TransferRefusal

@@ -1,4 +1,4 @@
-"""Simulated hosts around `Mobility`, with a faulty network, and a judge that sees all hosts.
+"""Simulated hosts around `Mobility`, with a faulty network, and a judge of all hosts.
 
 Coordinators only hop and count; a block is their name, start, last number and count. The judge
 (`World.check`) checks the promises of `lfield/docs/mobility.md` on all hosts at once.

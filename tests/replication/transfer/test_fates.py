@@ -138,7 +138,7 @@ def test_a_coordinator_of_a_silent_home_is_unheard():
 
 
 def test_another_life_of_the_receiver_proves_a_loss_and_the_same_life_does_not():
-    """In the same life it may still wait there until the devices are open."""
+    """In the same life the coordinator may still wait until the devices of the host are open."""
     went = {"alpha": [row("MOVED", 3, "bravo", life=7)], "bravo": []}
     assert fate(went, state_ids={"bravo": 7}) is None
     assert fate(went, state_ids={"bravo": 8}).outcome == "lost"
@@ -182,7 +182,7 @@ def test_an_end_does_not_count_for_a_later_start_that_has_moved():
     went = row("MOVED", 1, "bravo", generation=2)
     assert fate({"alpha": [ended, went]}, reachable_by_others=["bravo"]) is None
     assert fate({"alpha": [ended, went]}, silent_for=unheard()).outcome == "unheard"
-    # Of two that ran side by side the later one is lost, and the earlier one has ended.
+    # Of two parallel starts the later one is lost, and the earlier one has ended.
     assert fate({"alpha": [ended, went]}, gone=("bravo",)).outcome == "done"
 
 

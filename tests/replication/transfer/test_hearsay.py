@@ -1,4 +1,4 @@
-"""Gossip about live hosts: which hosts count as alive, through which others, how soon, and without echoes."""
+"""Gossip about live hosts: indirect contacts, their delay, and the absence of echoes."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ def membership_of(host: str, incarnation: int = 1, now: float = 0.0, hosts=HOSTS
 
 
 def missing(hearsay: Membership, now: float, lost_after: float = 10.0) -> tuple[set[str], set[str]]:
-    """The unheard hosts, and those reachable by others, when no host answers."""
+    """The silent hosts, and those reachable by others, when no host answers."""
     absent = hearsay.unavailable_hosts((), now, lost_after, unmet=30.0)
     return set(absent.silent_for), set(absent.reachable_by_others)
 
 
 class GossipTeam:
-    """Hosts that exchange gossip over the present links; `told` counts the messages."""
+    """Hosts that exchange gossip over the present links; `sent` counts the messages."""
 
     def __init__(self, hosts: int, links=None) -> None:
         names = tuple(f"h{number}" for number in range(hosts))
-        self.now, self.told, self.signs = 0.0, 0, 0
+        self.now, self.sent, self.signs = 0.0, 0, 0
         self.membership_of = {name: membership_of(name, 7, hosts=names) for name in names}
         self._posted: list[tuple[float, int, str, str, GossipUpdate]] = []
         self._dead: set[str] = set()
@@ -89,11 +89,11 @@ class GossipTeam:
                 if name not in self._dead and one.due is not None and one.due <= self.now:
                     self._post(name, one.next_gossip(self.now))
 
-    def _post(self, sender: str, told: list[tuple[str, GossipUpdate]]) -> None:
-        for receiver, heard in told:
-            self.told += 1
+    def _post(self, sender: str, sent: list[tuple[str, GossipUpdate]]) -> None:
+        for receiver, heard in sent:
+            self.sent += 1
             self.signs = max(self.signs, len(heard.counters), len(heard.probes))
-            heapq.heappush(self._posted, (self.now + LATENCY, self.told, sender, receiver, heard))
+            heapq.heappush(self._posted, (self.now + LATENCY, self.sent, sender, receiver, heard))
 
     def steps(self, host: str) -> dict[str, int]:
         """The number of links between a host and each that can be reached from it."""
@@ -108,12 +108,12 @@ class GossipTeam:
 def test_no_gossip_is_sent_while_no_host_is_missed():
     team = GossipTeam(30)
     team.run(10.0)
-    assert team.told == 0
+    assert team.sent == 0
     assert all(one.is_fully_connected(team.now) for one in team.membership_of.values())
 
 
 def bound(steps: int) -> float:
-    """Seconds in which a query and its answer pass so many links each way."""
+    """Seconds in which a query and its answer pass a number of links each way."""
     return 2 * steps * (GOSSIP_EVERY + LATENCY + 0.02) + 2 * HEARTBEAT_EVERY
 
 
@@ -150,9 +150,9 @@ def test_a_dead_host_is_given_up_by_all_in_time_and_gossip_ends(number, dice):
     team.run(SUSPICION_TIMEOUT + dice.random())
     team.kill("h1")
     team.run(2.0)
-    told = team.told
+    sent = team.sent
     team.run(SUSPICION_TIMEOUT + 1.0)
-    assert team.told == told
+    assert team.sent == sent
     for name, one in team.membership_of.items():
         if name != "h1":
             assert not one.is_fully_connected(team.now)

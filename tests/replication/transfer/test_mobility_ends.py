@@ -1,4 +1,4 @@
-"""The end of a coordinator, greetings that name coordinators, and starts that displace one another."""
+"""The end of a coordinator, Hellos that name coordinators, and starts that displace one another."""
 
 import pytest
 from mobility_hosts import PROGRAM, TOUR, Host, seal, transfer
@@ -94,7 +94,7 @@ def test_a_long_detail_is_cut_to_the_limit_of_a_message(a):
 def test_a_hello_names_a_coordinator_that_waits_for_admission(away, b):
     (known,) = b.mobility.handshake_states([transfer(1)])
     assert known == CoordinatorState(TOUR, 1, 1, 1, "PREPARED", "b", receiver_memory=1)
-    # This is no verdict: the sender still waits for one.
+    # The answer is no verdict: the sender still waits for one.
     assert away.mobility.on_linked(b.hello(known)) == [Send("b", TransferQuery(TOUR, 1, 1, 1))]
     assert away.known().state == "PREPARED"
 
@@ -160,7 +160,7 @@ def test_an_arriving_earlier_start_ends_the_later(b):
 
 
 def test_a_copy_in_doubt_gives_way_to_a_later_start(away):
-    """Otherwise it might resume beside the other, on one host."""
+    """Otherwise both starts might run on one host."""
     away.mobility.tick(10.0)
     stop, _, answer = away.receive("b", transfer(1, generation=2), b"later")
     assert stop.generation == 1
@@ -171,7 +171,7 @@ def test_a_copy_in_doubt_gives_way_to_a_later_start(away):
     assert known.detail.endswith("its copy here was displaced by a later start")
     assert away.mobility.shadow(TOUR, 1) == b"block 1"
     assert away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, ""), 11.0) == []
-    # Now it is: b will never accept it, and it cannot continue here.
+    # Now the loss is proven: b will not accept the transfer, and it cannot continue here.
     assert (away.known(1).state, away.known(1).outcome) == ("EXITED", "lost")
 
 

@@ -38,7 +38,7 @@ class DurableMobilityMachine(MobilityMachine):
 
 
 class Declared(DurableMobilityMachine):
-    """Also hosts that an operator truly declares lost; some return later, and receive that first."""
+    """Also hosts that an operator correctly declares lost; some return later, and are informed first."""
 
     @precondition(lambda self: any(host.running for host in self.world.hosts.values()))
     @rule(pick=picks, goal=hosts)
@@ -69,7 +69,7 @@ class Declared(DurableMobilityMachine):
     @precondition(lambda self: self.world.gone)
     @rule(chance=rarely)
     def come_back(self, chance) -> None:
-        # All others must be up: one that is down may be the only one that knows.
+        # All other hosts must be up: a stopped one may have the only record.
         if chance == 0 and len(self.world.hosts) + len(self.world.gone) == len(HOSTS):
             self.world.come_back(sorted(self.world.gone)[0])
 
@@ -80,7 +80,7 @@ class Declared(DurableMobilityMachine):
         self.world.boot(next(name for name in HOSTS if name not in up))
 
     def kill(self, name, back, chance) -> None:
-        """`crash` does this."""
+        """Do nothing: `crash` ends lives."""
 
 
 def test_no_copy_runs_twice_and_each_is_on_some_disk():

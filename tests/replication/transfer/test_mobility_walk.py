@@ -1,6 +1,6 @@
 """Long random walks through the same world as the property test: without shrinking, with many more steps.
 
-They find broken machines whose fault needs a rare sequence.
+The walks find broken machines whose fault needs a rare sequence.
 """
 
 import random

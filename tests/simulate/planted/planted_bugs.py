@@ -1,4 +1,4 @@
-"""Bugs that the code had, or might have, as patches of the real code: the judge must find them all."""
+"""Former and plausible bugs as patches of the real code: the judge must find them all."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ Patch = pytest.MonkeyPatch
 
 @dataclass(frozen=True)
 class Bug:
-    """A bug: how it is planted, what is broken, by which breaches it may be found, and a seed that does.
+    """A bug: its planting function, its description, the breaches that reveal it, and a seed that finds it.
 
-    `draws` draws the kind of scenarios that find it fastest. If `seed` no longer finds it after a change,
-    the `within` scenarios from `first` on are searched; a thousand find every bug.
+    `draws` draws the kind of scenarios that find the bug fastest. If `seed` no longer finds it after a
+    change, the `within` scenarios from `first` on are searched; a thousand find every bug.
     """
 
     plant: Callable[[Patch], None]
@@ -58,7 +58,7 @@ class Bug:
 
 
 def forgotten(seed: int) -> Scenario:
-    """A scenario of a small team without journals, in which a home often starts again what it cannot
+    """A scenario of a small team without journals, in which a home often restarts coordinators that it cannot
     reach."""
     dice = random.Random(f"forgotten {seed}")
     means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "island", "cut")}
@@ -67,7 +67,7 @@ def forgotten(seed: int) -> Scenario:
 
 
 def forgotten_walkers(seed: int) -> Scenario:
-    """`forgotten`, longer and with more walkers: one of them arrives where a later start of it runs."""
+    """`forgotten`, longer and with more walkers: one of them arrives on a host with a later start of it."""
     return replace(forgotten(seed), walkers=4, stay=0.2, weather=28.0, seconds=28.0)
 
 

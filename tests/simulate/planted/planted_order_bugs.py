@@ -1,4 +1,4 @@
-"""The rules by which hosts keep confirmed orders, each removed; and links beyond the neighbours."""
+"""The rules that keep confirmed orders, each removed; and links beyond the neighbours."""
 
 from __future__ import annotations
 

@@ -26,10 +26,11 @@ from simulation_testing.scenarios.scenario import Scenario, doubted, parted
 from simulation_testing.scenarios.scenario_drawing import draw_scenario, split
 from simulation_testing.seed_runner import DrawScenario
 
-#: A seed of `parted` that finds `the_fence_is_not_on_disk`: at 6 s the former holder of a coordinator meets a
-#: host that had promised it to another one, and was restarted since. Plant that bug to find another seed.
+#: A seed of `parted` that finds `the_fence_is_not_on_disk`: at 6 s the former holder of a coordinator
+#: connects to a host that had promised a recovery and was restarted since. Plant that bug to find another
+#: seed.
 MEETING = 199
-#: The breaches by which they may be found.
+#: The breaches that reveal these bugs.
 TWO_ACT = frozenset({"I1", "I4", "start"})
 
 
@@ -168,8 +169,8 @@ QUORUM_BUGS = [
         0,
         interrupted,
     ),
-    # A Hello and acknowledgements would inform a host that forgot: the bug is found where such hosts never
-    # meet.
+    # A Hello and acknowledgements would inform a host without its records: the bug is found if such hosts
+    # have no link.
     _bug(
         the_fence_is_not_on_disk,
         "a restarted voter forgets its fence and grants a lease to the fenced start",

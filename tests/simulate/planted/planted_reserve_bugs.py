@@ -1,4 +1,4 @@
-"""The rules that give a reservation to its holder alone, each removed: the judge must find the effect."""
+"""The rules that make a reservation exclusive, each removed: the judge must find the effect."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def reservation_numbers_restart_at_1(patch: Patch) -> None:
     def restore_nothing(
         self: Reservations, resource: str, number: int, holder: StartKey | None, now: float
     ) -> None:
-        """Restore nothing of earlier lives."""
+        """Restore no records of earlier lives."""
         self._first = 1
 
     patch.setattr(Reservations, "restore", restore_nothing)

@@ -17,12 +17,12 @@ from lfield.replication.transfer.core import Mobility
 from simulation_testing.scenarios.scenario import Scenario, ending
 from simulation_testing.seed_runner import DrawScenario
 
-#: The breaches by which they may be found.
+#: The breaches that reveal these bugs.
 RECOVERED = frozenset({"terminated", "promised"})
 
 
 def _no_ends_in_answers(patch: Patch) -> None:
-    """Answers to queries omit the states of coordinators that have ended: a second way to learn of an end."""
+    """Answers to queries omit the states of ended coordinators, a second source of terminations."""
     on_states = Mobility.on_states
 
     def without_ends(self: Mobility, host: str, records: Any) -> Any:

@@ -42,7 +42,7 @@ def lines(fleet: Fleet, start: str) -> list[str]:
 
 
 def run_until(fleet: Fleet, text: str, seconds: float) -> None:
-    """Run until a line has this text; fail after so many seconds."""
+    """Run until a line has this text; fail after `within` seconds."""
     end = fleet.now + seconds
     while not any(text in line for _, _, line in fleet.log):
         assert fleet.now < end, "".join(line for _, _, line in fleet.log[-20:])

@@ -126,7 +126,7 @@ class SequencingTeam:
             self.fleet.run(0.5)
 
     def finish(self, at_most: float = 600.0) -> None:
-        """Run until the boss has done all its rounds; each start was requested, and each has ended."""
+        """Run until the boss has done all its rounds; assert that each start was requested and has ended."""
         self.until(lambda: self.count("boss is done") > 0, at_most)
         self.fleet.run(5.0)
         assert self.starts == sorted(set(self.starts)), self.last_lines()

@@ -1,4 +1,4 @@
-"""Bugs that the service had, or might have, as patches of the real code: the judge must find each."""
+"""Former and plausible bugs of the service as patches of the real code: the judge must find each."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Patch = pytest.MonkeyPatch
 
 @dataclass(frozen=True)
 class PushBug:
-    """A bug: how it is planted, what is broken, by which breaches it may be found, and a seed that does.
+    """A bug: its planting function, its description, the breaches that reveal it, and a seed that finds it.
 
-    If `seed` no longer finds it, the `within` scenarios from 0 on are searched.
+    If `seed` no longer finds the bug, the `within` scenarios from 0 on are searched.
     """
 
     plant: Callable[[Patch], None]

@@ -1,7 +1,7 @@
-"""Faults of a simulation, drawn before it begins: a forecast, which is data.
+"""Faults of a simulation, drawn before its start as data: a forecast.
 
-A run can be repeated without some of its faults, which does not change the others. Each fault ends after a
-while; at the end of the forecast everything is healed, so that progress can be checked.
+A run can be repeated without some of its faults, without a change of the others. Each fault has a duration;
+at the end of the forecast all faults are healed, so that progress can be checked.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ SLOW = (0.3, 2.0)
 SLOW_ORDERS = 0.5
 #: Seconds for which a process or a computer is suspended.
 STOPPED = (0.05, 6.0)
-#: For how long a team is split: the majority may continue with the coordinators of the others meanwhile.
+#: Seconds of a split team, long enough for the majority to recover coordinators of the minority.
 SPLIT = (4.0, 10.0)
 #: Duration of faults of some kinds.
 LENGTHS = {"stop": STOPPED, "suspend": STOPPED, "guard_stop": STOPPED, "split": SPLIT}
-#: How fast a clock runs that drifts, as leases allow for; one that is broken; and by how many seconds a time
-#: of day jumps at most.
+#: The rate of a drifting clock within the margin of leases, the rate of a broken clock, and the greatest jump
+#: of a time of day (s).
 DRIFT, RACE, JUMP = (0.99, 1.01), (0.9, 1.1), 1e7
 #: The length of a forecast without a stated length, in seconds.
 LONG = 300.0
-#: The kinds that are orders of an operator, or need one.
+#: The kinds of faults that are orders of an operator, or need one.
 ORDERS = ("estop", "pause", "wreck")
-#: How often an operator recovers the coordinators of a wreck; otherwise they are given up.
+#: The share of lost hosts whose coordinators an operator recovers; otherwise they are declared lost.
 RECOVERS = 0.7
 
 
@@ -98,7 +98,7 @@ class FaultRates:
         return sorted(faults, key=lambda fault: fault.at)
 
     def inject(self, fleet: Fleet, rng: random.Random, seconds: float = LONG) -> FaultInjector:
-        """Apply it to a team from now on."""
+        """Apply the forecast to a team from now on."""
         return FaultInjector(fleet, self.forecast(fleet.mission.team.hosts, rng, seconds), NoChecks())
 
 
@@ -108,7 +108,7 @@ class FaultInjector:
     def __init__(self, fleet: Fleet, forecast: Iterable[Fault], judges: AnswerChecks) -> None:
         self.fleet = fleet
         forecast = list(forecast)
-        #: The operator who gives orders, if one is needed: `judges` receives the answers of hosts.
+        #: The operator for orders, if needed: `judges` receives the answers of hosts.
         self.operator: SimulatedOperator | None = None
         self._judges, self._rng = judges, random.Random(repr(forecast[:1]))
         if any(fault.kind in ORDERS for fault in forecast):
@@ -131,7 +131,7 @@ class FaultInjector:
             self._after(fault.at, partial(self._inject, kinds[fault.kind], fault))
 
     def end(self) -> None:
-        """Heal everything: all paths work, all computers are on, all hosts run."""
+        """Heal all faults: all paths work, all computers are on, all hosts run."""
         self._is_over = True
         for disk in self.fleet.disks.values():
             disk.full, disk.broken, disk.slow = False, False, 0.0
@@ -163,7 +163,7 @@ class FaultInjector:
         self._silence(fault.one, fault.other, fault.lasts)
 
     def _mute(self, fault: Fault) -> None:
-        """No host receives from it, and it receives from all."""
+        """Drop all packets from a host, but not those to it."""
         self._note(f"{fault.one} is mute")
         for other in self._others(fault.one):
             self._silence(fault.one, other, fault.lasts)
@@ -175,10 +175,9 @@ class FaultInjector:
             self._silence(other, fault.one, fault.lasts)
 
     def _swap(self, fault: Fault) -> None:
-        """One is cut off from all, then another; in between, the hosts that were in contact with both are
-        killed.
+        """Cut one host off from all, then another; in between, kill the hosts that were in contact with both.
 
-        So the two never meet, and information about each other comes from the disks.
+        So the two have no contact, and information about each other comes only from disks.
         """
         self._island(fault)
         swapped = replace(fault, one=fault.other, other=fault.one)
@@ -191,7 +190,7 @@ class FaultInjector:
                 self._kill(replace(fault, one=name, lasts=fault.size))
 
     def _split(self, fault: Fault) -> None:
-        """The team is split into two groups of at least two hosts, where it has that many."""
+        """Split the team into two groups, of at least two hosts if possible."""
         others = sorted(set(self._others(fault.one)) - {fault.other})
         count = 2 + int(fault.size * max(1, len(others) - 2))
         near = [fault.one, *random.Random(fault.size).sample(others, min(count - 1, len(others)))]
@@ -264,7 +263,7 @@ class FaultInjector:
             self._after(fault.lasts, partial(self._start, fault.one))
 
     def _start(self, name: str) -> None:
-        """Start a host again; if it is still ending, after its end."""
+        """Restart a host, after its end if it is still ending."""
         life = self.fleet.lives.get(name)
         if life is not None and life.shutdown_signals.first_requested.is_set():
             self._after(0.5, partial(self._start, name))
@@ -345,7 +344,7 @@ class FaultInjector:
             self.operator.press("pause", fault.lasts)
 
     def _wreck(self, fault: Fault) -> None:
-        """A host is permanently lost, and no majority may continue without it: an operator must act."""
+        """Lose a host permanently; no majority may continue without it, so an operator must act."""
         if self.operator is None or self.fleet.gone or self.fleet.mission.fenced:
             return
         self._note(f"{fault.one} is wrecked")

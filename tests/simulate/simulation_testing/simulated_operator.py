@@ -1,7 +1,7 @@
-"""An operator at a computer beside a simulated team, who gives the orders of the commands.
+"""An operator of a simulated team who gives the orders of the commands.
 
 Orders are sent by the code of `lfield estop`, `pause`, `resume`, `recover` and `forget`, over separate
-links. A hold (a stop, a pause) is lifted after a while. At the end all remaining holds are lifted.
+links. A hold (a stop, a pause) is lifted after a delay. At the end all remaining holds are lifted.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class AnswerChecks(Protocol):
         """From now on a host may receive the end of the hold."""
 
     def on_given_up(self, agent: str, starts: Mapping[str, int]) -> None:
-        """These hosts have given up a coordinator, up to these starts."""
+        """These hosts have confirmed the loss of a coordinator, up to these starts."""
 
     def on_recovery_by_operator(self) -> None:
-        """A host is lost, and the operator recovers its coordinators from copies, or gives them up."""
+        """A host is lost, and the operator recovers its coordinators from copies, or declares them lost."""
 
 
 class SimulatedOperator:
@@ -66,12 +66,11 @@ class SimulatedOperator:
             HostRef("", host): address for host, address in fleet.mission.team.addresses_by_host.items()
         }
         self._names = {place: place.host for place in self._places}
-        #: Until when the buttons of a kind are held, in true time; and how often each was pressed.
+        #: The true time until which the buttons of a kind are held, and the number of presses of each.
         self._held: dict[Hold, float] = {}
         self.presses: Counter[Hold] = Counter()
-        #: The task that gives an order of a kind, and the task that lifts one, until every host has
-        #: answered. The operator
-        #: does one of the two at a time.
+        #: The task that gives an order of a kind, and the task that lifts one, until every host has answered.
+        #: Only one of the two runs at a time.
         self._pressing: defaultdict[Hold, Tasks] = defaultdict(dict)
         self._lifting: defaultdict[Hold, Tasks] = defaultdict(dict)
         #: The pending actions for coordinators of lost hosts.
@@ -86,7 +85,7 @@ class SimulatedOperator:
     # --- stop and pause -------------------------------------------------------------------------------
 
     def press(self, hold: Hold, seconds: float) -> None:
-        """Stop or pause the team, and lift that after so many seconds."""
+        """Stop or pause the team, and lift that after a number of seconds."""
         self._interrupt(self._lifting.pop(hold, {}))
         self.presses[hold] += 1
         self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
@@ -103,7 +102,7 @@ class SimulatedOperator:
         press = self.presses[hold]
         with _registered(self._pressing[hold]):
             answer = await self._ask(place, self._request(hold, lift=False))
-        # An answer that arrives when the button is released promises nothing.
+        # An answer after the release of the button is no promise.
         if isinstance(answer, EmergencyStopResult) and hold in self._held and press == self.presses[hold]:
             self.carried_out[hold] += 1
             self._checks.on_confirmed(hold, place.host, answer)
@@ -145,7 +144,7 @@ class SimulatedOperator:
     # --- coordinators of lost hosts -------------------------------------------------------------------
 
     def lose(self, *, recovers: bool) -> None:
-        """A host is permanently lost: recover each coordinator that went there, or give it up."""
+        """Handle a permanently lost host: recover each of its coordinators, or declare it lost."""
         go = self._recover if recovers else self._forget
         self._checks.on_recovery_by_operator()
         self._orphans = {member.id: go for member in self._fleet.mission.team.coordinators}
@@ -169,14 +168,14 @@ class SimulatedOperator:
             self._retries = False
 
     def _was_lost(self, agent: str, hosts: _Hosts) -> bool:
-        """Whether the newest known state of a coordinator is that it went to a lost host."""
+        """True if the newest known state of a coordinator is a departure to a lost host."""
         silent = {place.host for place, host in hosts.items() if not host.linked}
         known = [known for _, known in records(agent, hosts)]
         newest = max(known, key=lambda known: (known.generation, known.hops, known.sequence), default=None)
         return silent <= self._fleet.gone and newest is not None and newest.where in self._fleet.gone
 
     async def _recover(self, agent: str, hosts: _Hosts) -> bool:
-        """As `lfield recover`."""
+        """Recover like `lfield recover`."""
         try:
             belief = best_candidate(agent, hosts, self._names)
         except (CoordinatorAlive, UsageError):
@@ -187,7 +186,7 @@ class SimulatedOperator:
         return done
 
     async def _forget(self, agent: str, hosts: _Hosts) -> bool:
-        """As `lfield forget`."""
+        """Declare lost like `lfield forget`."""
         try:
             require_in_doubt(agent, hosts, self._names)
         except (CoordinatorAlive, UsageError):
@@ -219,7 +218,7 @@ class SimulatedOperator:
 
 @contextmanager
 def _registered(tasks: Tasks) -> Iterator[None]:
-    """The current task is in `tasks` meanwhile."""
+    """Keep the current task in `tasks` within this context."""
     task = asyncio.current_task()
     assert task is not None
     tasks[task] = None

@@ -8,7 +8,7 @@ import pytest
 
 from test_fleet_together import Team
 
-#: The calls begin at bravo and at carol, where the boss stays.
+#: The calls start on bravo and on carol, where the boss stays.
 BEGIN = """
             future<int>[] calls = {{async findPost("one").work(1, {0}), async findPost("two").work(2, {1})}};
 """

@@ -74,7 +74,7 @@ def started(fleet: Fleet) -> bool:
 
 
 def event(fleet: Fleet, entry: HostInput) -> None:
-    """An input of alpha, in its own process."""
+    """Feed an input to alpha, in its own process."""
     life = fleet.lives["alpha"]
     life.process.loop.enter(lambda: life.host.dispatch(entry))
 
@@ -196,7 +196,7 @@ def test_a_host_with_another_bundle_prevents_the_start_and_both_report_it(tmp_pa
     assert {one.host for one in status(fleet, "carol").refused} == {"alpha", "bravo", "dora"}
     assert count_logged(fleet, "boss not started: waiting for carol (refused: ", "alpha")
     assert count_logged(fleet, "runs bundle 2222222222222222", "alpha")
-    # The right bundle is copied there, and it joins.
+    # After a copy of the right bundle the host joins.
     fleet.crash("carol")
     fleet.boot("carol")
     fleet.run(5.0)
@@ -263,7 +263,7 @@ def test_an_emergency_stop_during_the_wait_holds_the_start_until_a_command(tmp_p
     fleet.boot("carol")
     fleet.run(5.0)
     assert not started(fleet)
-    # The lift itself starts nothing.
+    # The lift starts no coordinator.
     event(fleet, StopOrdered(""))
     fleet.run(20.0)
     start = status(fleet, "alpha").start

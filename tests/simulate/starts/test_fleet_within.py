@@ -53,7 +53,7 @@ Event = Callable[[Fleet], None]
 
 
 def slow(seconds: float) -> Event:
-    """All messages between hosts take so long."""
+    """Set the latency of all messages between hosts."""
 
     def apply(fleet: Fleet) -> None:
         for one in fleet.machines:
@@ -64,7 +64,7 @@ def slow(seconds: float) -> Event:
 
 
 def isolate(host: str, *, quietly: bool = False) -> Event:
-    """A host is cut off; `quietly`: its links seem to stand."""
+    """Cut a host off; with `quietly` its links stay open."""
 
     def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
@@ -78,7 +78,7 @@ def isolate(host: str, *, quietly: bool = False) -> Event:
 
 
 def process(host: str, *, frozen: bool) -> Event:
-    """The process of a host is suspended, or killed."""
+    """Suspend or kill the process of a host."""
 
     def apply(fleet: Fleet) -> None:
         if frozen:
@@ -90,7 +90,7 @@ def process(host: str, *, frozen: bool) -> Event:
 
 
 def cut_outgoing(host: str) -> Event:
-    """A host receives from all, and no host receives from it."""
+    """Drop all packets from a host, but not those to it."""
 
     def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
@@ -100,7 +100,7 @@ def cut_outgoing(host: str) -> Event:
 
 
 def cut_incoming(host: str) -> Event:
-    """All hosts receive from a host, and it receives from none."""
+    """Drop all packets to a host, but not those from it."""
 
     def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
@@ -112,7 +112,7 @@ def cut_incoming(host: str) -> Event:
 def ends(
     folder: Path, body: str, script: dict[float, Event], within: float = 60.0, transit: float = 0.0
 ) -> tuple[float, str]:
-    """The seconds after which the block has ended, and how; events are by seconds since its begin."""
+    """The seconds until the end of the block, and its outcome; events are by seconds since its start."""
     (folder / "mission.L").write_text(PROGRAM.replace("//body", body))
     (folder / "mission.dL").write_text(TEAM)
     fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1)
@@ -147,7 +147,7 @@ def of(one: float, two: float) -> str:
 @pytest.mark.parametrize(
     ("body", "script"),
     [
-        # Both calls run, and the host of one is cut off: at the begin, in the middle, at the very end.
+        # Both calls run, and the host of one is cut off: at the start, in the middle, at the very end.
         (of(20.0, 20.0), {0.5: isolate("bravo")}),
         (of(20.0, 20.0), {3.9: isolate("bravo")}),
         (of(0.5, 20.0), {1.0: isolate("bravo")}),
@@ -162,10 +162,10 @@ def of(one: float, two: float) -> str:
         ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: process("bravo", frozen=True)}),
         ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: process("bravo", frozen=True)}),
         (WORKS_TWICE, {0.3: isolate("carol", quietly=True)}),
-        # Nested blocks: the nearer end counts, and no catch inside keeps it.
+        # Nested blocks: the earlier end is effective, and no inner catch catches it.
         (f"within (30.0) {{ {of(20.0, 20.0)} }}", {0.5: isolate("bravo")}),
         (of(20.0, 20.0).replace("4.0", "30.0").join(("within (4.0) { ", " }")), {0.5: isolate("bravo")}),
-        # Other waits for a host.
+        # Waits for another host.
         ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: isolate("bravo")}),
         ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: isolate("bravo")}),
         ("within (4.0) { sleep(60.0); }", {}),
@@ -187,12 +187,12 @@ def test_a_block_ends_in_time_although_a_host_cannot_be_reached(
     "script",
     [
         {3.4: isolate("bravo", quietly=True)},
-        # Also a host that was in contact just before the end is asked when the time is over.
+        # A host with a contact just before the end is also asked when the time is over.
         {3.88: isolate("bravo", quietly=True)},
         {3.94: isolate("bravo", quietly=True)},
         {3.99: isolate("bravo", quietly=True)},
         {3.96: isolate("carol", quietly=True)},
-        # Then the coordinator is on the host that is cut off.
+        # The coordinator is then on the isolated host.
         {3.0: isolate("carol", quietly=True)},
         {3.0: cut_outgoing("bravo")},
         {1.0: cut_incoming("bravo")},
@@ -213,7 +213,7 @@ def test_a_link_that_becomes_silent_just_before_the_end_costs_one_sign_of_life(
 def test_several_silent_hosts_cost_one_sign_of_life_together(tmp_path: Path) -> None:
     last = 'got[1] = findPost("two").work(2, 20.0);'
     body = of(20.0, 20.0).replace(last, f'{last} findPost("zero").work(3, 20.0);')
-    # It has begun the call on carol last, and is there.
+    # The call on carol was started last, so the coordinator is there.
     seconds, how = ends(tmp_path, body, {3.5: isolate("carol", quietly=True)})
     assert seconds == pytest.approx(4.0 + ANSWER_GRACE, abs=0.1), how
     assert how.count("was not reached") == 2, how
@@ -267,7 +267,7 @@ def test_a_finally_block_is_not_interrupted_and_its_delay_is_reported(tmp_path: 
 
 
 def paused(host: str, *, on: bool) -> Event:
-    """The mission is paused at a host, or resumed there."""
+    """Pause or resume the mission at a host."""
 
     def apply(fleet: Fleet) -> None:
         life = fleet.lives[host]

@@ -43,7 +43,7 @@ def test_a_restart_while_a_vehicle_is_off_the_ground_starts_no_coordinator(
     fleet.run(5.0)
     assert count_logged(fleet, "boss: begins") == 1
     assert count_logged(fleet, "boss not started: two.fc of bravo is off the ground", "alpha") == 1
-    # It has landed: it does not take off again by itself.
+    # The landed vehicle does not take off again without a command.
     monkeypatch.setitem(hardware.VALUES, "boolean", True)  # type: ignore[arg-type]
     fleet.run(30.0)
     assert count_logged(fleet, "boss: begins") == 1

@@ -1,4 +1,4 @@
-"""Teams of which some resources are doubles."""
+"""Teams with doubles for some resources."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ DEPLOYMENT = "//Pump:pump@bravo //Pump:other@alpha //Boss:boss@alpha"
 def team_of(
     folder: Path, body: str, doubles: Mapping[str, object] | None = None, **pump: object
 ) -> SmallTeam:
-    """A team whose pump is doubled by functions, or other resources by objects."""
+    """A team with functions as the double of its pump, or objects as doubles of other resources."""
     chosen = doubles or {"pump": SimpleNamespace(**pump)}
     return SmallTeam(folder, PROGRAM.replace("//body", body), DEPLOYMENT, chosen)
 

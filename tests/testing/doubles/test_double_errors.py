@@ -1,4 +1,4 @@
-"""Invalid doubles, and values that doubles may not return, are reported."""
+"""Reports of invalid doubles, and of invalid results of doubles."""
 
 from __future__ import annotations
 

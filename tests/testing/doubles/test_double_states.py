@@ -53,7 +53,7 @@ class Depot:
 
 
 def porters(folder: Path, depot: Depot, *patience: float, after: float = 0.0) -> SmallTeam:
-    """Coordinators that take as many as their number, with that time limit; the last one starts later."""
+    """Coordinators that take their number of items with a time limit; the last one starts later."""
     agents = [f"//Porter:p{n}@alpha?{n}&{seconds}&0" for n, seconds in enumerate(patience, 1)]
     agents[-1] = f"{agents[-1][:-1]}{after}"
     return SmallTeam(folder, LOCKED, " ".join(["//Depot:depot@bravo", *agents]), {"depot": depot})
@@ -97,7 +97,7 @@ def test_a_restarted_host_has_no_call_inside(tmp_path: Path) -> None:
 
 
 class Climbs:
-    """A double that completes a climb at once, and may report its battery."""
+    """A double that completes a climb immediately, and may report its battery."""
 
     def climb(self, metres: float) -> float:
         return metres

@@ -100,7 +100,7 @@ def test_an_exception_of_a_double_is_thrown_in_l(tmp_path: Path) -> None:
     team = team_of(tmp_path, body, flow=flow)
     team.until("the end")
     assert team.said("caught no water")
-    # Nothing of the portal itself is executed, its own catch included.
+    # The code of the portal is not executed, including its catch.
     assert team.said("thrown: no water of pump")
     assert [call.thrown for call in team.calls.record] == ["DeviceTimeoutException: no water"] * 2
 
@@ -285,7 +285,7 @@ def test_the_driver_of_a_doubled_resource_need_not_be_installed(tmp_path: Path) 
     assert team.mission.bindings.limits("welder").heap == 64 << 10
     assert team.mission.bindings.devices.get("welder", {}) == {}
     assert team.mission.bindings.devices["pump"].keys() == {"fc"}
-    # The driver of a running resource must be.
+    # The driver of a running resource must be installed.
     with pytest.raises(ProgramError) as caught:
         SmallTeam(tmp_path, NO_DRIVER, f"{hosts} //Welder:other@alpha", {"welder": Welder()})
     assert "Xyzzy" in caught.value.diagnostics[0].render()

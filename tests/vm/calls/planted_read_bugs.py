@@ -61,7 +61,7 @@ def a_limit_ends_the_wait_of_the_first_thread(patch: Patch) -> None:
 
 
 def a_question_is_not_ended(patch: Patch) -> None:
-    """Text that the thread has written before the question remains an unfinished line."""
+    """Text that the thread has written before the prompt remains an unfinished line."""
     patch.setattr(Scheduler, "end_line", lambda self, agent, thread: None)
 
 

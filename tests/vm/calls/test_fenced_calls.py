@@ -151,7 +151,7 @@ def test_a_call_that_may_not_begin_ends_by_an_exception() -> None:
     host = Host("try { store.add(5); } catch (LimitException e) { print(e.message()); } print(store.add(1));")
     host.gate.open = False
     host.run()
-    host.clerk.is_persisted = True  # its record is durable
+    host.clerk.is_persisted = True  # the record of the call is durable
     host.gate.open = True
     host.machine.resume(host.clerk, "LimitException", "no lease", "store")
     assert host.run() == ["no lease", "1"]

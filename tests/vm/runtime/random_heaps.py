@@ -145,7 +145,7 @@ class RandomHeap:
         """Set the references of an object."""
         w = self.block.w
         if w[place] & 0xFF == layout.GROWABLE:
-            # Its own array or another one, which no engine shares, and spare words.
+            # The object's own array or another one, and spare words.
             array = layout.GROWABLE_ARRAY
             w[place + array] = self.some(self.shapes.references(w[place])[0][1]) or w[place + array]
             w[place + layout.GROWABLE_LENGTH] = self.rng.randrange(w[w[place + array]] >> 32)

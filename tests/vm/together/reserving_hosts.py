@@ -1,4 +1,4 @@
-"""Several machines and no network, as in `joined_hosts`, whose resources can be reserved."""
+"""Several machines without a network, as in `joined_hosts`, with reservable resources."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class ReservingWorld(HostWorldStub):
             raise Trap("ReservedException", f"{resource.id} is reserved by pilot", resource.id)
         if resource.id in book.busy:
             return 0
-        # As a host with a journal does it: what was read of the block before is wrong then.
+        # A host with a journal does the same: earlier readings of the block are invalid then.
         self.machine.pack(agent)
         if resource.id not in book.held:
             book.held[resource.id] = next(book.numbers)

@@ -1,4 +1,4 @@
-"""A portal call that is cancelled: where its thread hears of it, how long it may tidy up, what it leaves."""
+"""A cancelled portal call: where its thread is interrupted, its time for cleanup, and its remains."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ coordinator Boss {
 }
 """
 OVER = "the time is over; crane.{}() was cancelled"
-#: The same when the call took longer than its limit to end.
+#: The message for a call that ended later than its limit.
 LATE = OVER + ", {:.1f} s late: it took that long to end"
 
 
@@ -64,7 +64,7 @@ def program(body: str, after: str) -> Program:
 
 
 class Yard:
-    """A crane, a boss, and a clock; `tidy` is how long a cancelled portal may take, in seconds."""
+    """A crane, a boss, and a clock; `tidy` is the time for the cleanup of a cancelled portal (s)."""
 
     def __init__(self, body: str, after: str = "", tidy: float = 5.0) -> None:
         self.clock, self.place = ManualClock(), HostWorldStub()
@@ -85,11 +85,11 @@ class Yard:
 
     @property
     def serving(self) -> int:
-        """How many threads the crane has."""
+        """The number of threads of the crane."""
         return len(list(threads(self.crane.block)))
 
     def pass_time(self, seconds: float) -> list[str]:
-        """Let the machine run, let time pass, and let it run; everything said until now."""
+        """Run the machine, advance the clock, and run again; returns the output so far."""
         self._run()
         self.clock.advance(seconds)
         self._run()
@@ -101,17 +101,17 @@ class Yard:
                 return
 
     def answer(self) -> None:
-        """The device instruction that was asked for first is done."""
+        """Complete the oldest device instruction."""
         agent, thread = self.place.waiting.pop(0)
         self.machine.answer(agent, thread, None, 0, "motor")
 
     def refuse(self, message: str) -> None:
-        """Report that the device instruction that was asked for first was cancelled."""
+        """Report that the oldest device instruction was cancelled."""
         agent, thread = self.place.waiting.pop(0)
         self.machine.throw_builtin(agent, thread, "CancelledException", message, "motor")
 
 
-def test_a_device_that_can_is_cancelled_and_the_portal_tidies_up_with_it() -> None:
+def test_a_cancelled_device_instruction_lets_the_portal_clean_up() -> None:
     yard = Yard("c.lift();")
     assert yard.pass_time(1.9) == []
     yard.pass_time(0.1)
@@ -124,11 +124,11 @@ def test_a_device_that_can_is_cancelled_and_the_portal_tidies_up_with_it() -> No
     assert yard.serving == 0
 
 
-def test_a_device_that_cannot_comes_to_its_end_and_then_the_portal_hears() -> None:
+def test_a_portal_is_cancelled_after_an_uncancellable_instruction_has_ended() -> None:
     yard = Yard("c.twice();")
     yard.place.cancels = False
     yard.pass_time(2.0)
-    # However long that takes: it is not the portal that is slow.
+    # The portal has its whole cleanup time after the end of the instruction.
     yard.pass_time(30.0)
     assert yard.serving == 1
     yard.answer()
@@ -136,14 +136,14 @@ def test_a_device_that_cannot_comes_to_its_end_and_then_the_portal_hears() -> No
     assert yard.place.waiting == []
 
 
-def test_a_result_that_crosses_its_cancel_is_too_late_for_the_limit() -> None:
+def test_a_result_that_crosses_its_cancel_exceeds_the_limit() -> None:
     yard = Yard("c.ends();")
     yard.pass_time(2.0)
     yard.answer()
     assert yard.pass_time(0.0) == [OVER.format("ends")]
 
 
-def test_an_answer_for_a_thread_that_is_no_more_is_dropped() -> None:
+def test_an_answer_for_an_ended_thread_is_dropped() -> None:
     yard = Yard("c.lift();")
     yard.pass_time(2.0)
     assert yard.pass_time(5.0) == [LATE.format("lift", 5.0)]
@@ -155,7 +155,7 @@ def test_an_answer_for_a_thread_that_is_no_more_is_dropped() -> None:
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("tidy", [0.0, 3.0])
-def test_a_portal_that_never_waits_is_ended(tidy: float) -> None:
+def test_a_portal_without_waits_is_ended_after_the_cleanup_time(tidy: float) -> None:
     yard = Yard("c.deaf();", tidy=tidy)
     yard.pass_time(2.0)
     if tidy:
@@ -164,7 +164,7 @@ def test_a_portal_that_never_waits_is_ended(tidy: float) -> None:
     assert yard.serving == 0
 
 
-def test_a_query_is_no_waiting_instruction_and_a_sleep_is() -> None:
+def test_a_cancelled_portal_is_interrupted_in_a_sleep_not_in_a_query() -> None:
     yard = Yard("c.looks();")
     yard.pass_time(2.0)
     agent, thread = yard.place.waiting.pop()
@@ -172,7 +172,7 @@ def test_a_query_is_no_waiting_instruction_and_a_sleep_is() -> None:
     assert yard.pass_time(0.0) == ["seen enough", OVER.format("looks")]
 
 
-def test_a_thread_that_is_ended_gives_its_monitor_back() -> None:
+def test_an_ended_thread_releases_its_monitor() -> None:
     yard = Yard("c.holds();", "c.next();")
     yard.pass_time(2.0)
     yard.pass_time(5.0)
@@ -180,7 +180,7 @@ def test_a_thread_that_is_ended_gives_its_monitor_back() -> None:
     assert yard.crane.block.w[layout.W_OWNER] == 0
 
 
-def test_a_call_in_the_queue_never_begins() -> None:
+def test_a_queued_call_does_not_start_after_its_cancel() -> None:
     yard = Yard("together { c.holds(); c.next(); }")
     yard.pass_time(2.0)
     assert yard.serving == 1
@@ -194,24 +194,24 @@ def test_a_call_in_the_queue_never_begins() -> None:
     [(30.0, [LATE.format("sleeps", 58.0)]), (1.0, ["slept", LATE.format("sleeps", 58.0)])],
     ids=["after", "before"],
 )
-def test_a_host_that_stood_still_takes_times_in_their_order(seconds: float, said: list[str]) -> None:
+def test_a_suspended_host_handles_expired_times_in_order(seconds: float, said: list[str]) -> None:
     yard = Yard(f"c.sleeps({seconds});")
     assert yard.pass_time(60.0) == said
 
 
-def test_a_loop_that_only_computes_is_cut() -> None:
+def test_a_time_limit_ends_a_computing_loop() -> None:
     yard = Yard("int n = 0; while (true) n = n + 1;")
     assert yard.pass_time(1.9) == []
     assert yard.pass_time(0.1) == ["the time is over"]
 
 
-def test_a_limit_that_is_left_in_time_does_nothing() -> None:
+def test_a_block_that_ends_in_time_clears_its_limit() -> None:
     yard = Yard("c.next();", "sleep(10.0); print(1);")
     yard.pass_time(2.5)
     assert yard.pass_time(10.0) == ["in", "in time", "1"]
 
 
-def test_a_resource_that_dies_while_it_is_cancelled_ends_the_wait() -> None:
+def test_a_failed_resource_ends_the_wait_for_its_cancelled_call() -> None:
     yard = Yard("c.deaf();")
     yard.pass_time(2.0)
     yard.machine._scheduler.die(yard.crane, "a test")
@@ -219,7 +219,7 @@ def test_a_resource_that_dies_while_it_is_cancelled_ends_the_wait() -> None:
     assert yard.machine.agents.get("boss") is None
 
 
-def test_a_future_that_is_cancelled_cancels_the_instruction_of_the_device() -> None:
+def test_a_cancelled_future_cancels_the_device_instruction() -> None:
     yard = Yard("future<void> f = async c.ends(); sleep(1.0); f.cancel(); print(f.done());")
     yard.pass_time(1.5)
     assert len(yard.place.cancelled) == 1
@@ -227,7 +227,7 @@ def test_a_future_that_is_cancelled_cancels_the_instruction_of_the_device() -> N
     assert yard.pass_time(0.1) == ["true", "in time"]
 
 
-def test_the_loser_of_a_race_is_cancelled_where_it_waits_for_its_device() -> None:
+def test_the_loser_of_a_race_is_cancelled_in_its_device_instruction() -> None:
     yard = Yard("future<void>[] all = {async c.ends(), async c.sleeps(1.0)}; print(all.race());")
     assert yard.pass_time(1.0) == ["slept"]
     assert len(yard.place.cancelled) == 1

@@ -1,4 +1,4 @@
-"""Futures over several hosts: how far the coordinator goes; what is unreachable, lost or dropped."""
+"""Futures on several hosts: the hops of the coordinator; unreachable hosts, lost calls, dropped futures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def run(body: str, hosts: int) -> JoinedHosts:
 
 
 @pytest.mark.parametrize("kind", [JoinedHosts, CollectingHosts])
-def test_open_futures_are_carried_by_hops_and_fetched_on_their_hosts(kind: type[JoinedHosts]) -> None:
+def test_open_futures_migrate_and_are_fetched_on_their_hosts(kind: type[JoinedHosts]) -> None:
     body = (
         ALL % "2.0"
         + 'for (future<Card> f : all) print(f.await().text); print("after " + f2s(now() - start, 1));'
@@ -61,7 +61,7 @@ def test_open_futures_are_carried_by_hops_and_fetched_on_their_hosts(kind: type[
 
 
 @pytest.mark.parametrize("hosts", [2, 3, 5])
-def test_the_first_of_several_hosts_costs_one_hop_and_the_cancel_two_for_each_other_host(hosts: int) -> None:
+def test_a_race_takes_one_hop_to_the_winner_and_two_to_cancel_each_other_host(hosts: int) -> None:
     body = (
         "future<Card>[] all = {};"
         "for (int i = 0; i < r.length(); i += 1) all.append(async r[i].work(9.0 - %s, mine));"
@@ -73,13 +73,13 @@ def test_the_first_of_several_hosts_costs_one_hop_and_the_cancel_two_for_each_ot
     assert starts + to_winner < len(joined.images) <= starts + to_winner + 2 * (hosts - 1)
 
 
-def test_calls_that_end_at_once_when_they_are_cancelled_cost_one_visit_to_each_host() -> None:
+def test_immediate_cancellations_take_one_visit_to_each_host() -> None:
     body = (
         "future<Card>[] all = {async r[0].fail(9.0), async r[1].work(1.0, mine), async r[2].fail(9.0)};"
         "all.append(async r[3].fail(9.0)); print(all.race());"
     )
     joined = run(body, 4)
-    # Out to start, to the winner, and to each of the others, which are asked to cancel from the first one on.
+    # Hops to start each call, to the winner, and to each other host; all cancels are sent from the first one.
     assert joined.route == [0, 1, 2, 3, 1, 0, 2, 3, 0]
     assert joined.printed == ["1"]
     joined = JoinedHosts(program(body), 4)
@@ -90,7 +90,7 @@ def test_calls_that_end_at_once_when_they_are_cancelled_cost_one_visit_to_each_h
     assert [call.resource for call in joined.machines[2].pending_calls.calls()] == ["r2"]
 
 
-def test_while_it_waits_for_several_hosts_it_stays_and_each_end_is_one_hop() -> None:
+def test_next_stays_on_its_host_and_takes_one_hop_for_each_result() -> None:
     body = (
         "future<Card>[] all = {async r[0].work(3.0, mine), async r[1].work(1.0, mine)};"
         "all.append(async r[2].work(2.0, mine));"
@@ -101,13 +101,13 @@ def test_while_it_waits_for_several_hosts_it_stays_and_each_end_is_one_hop() -> 
     assert [joined.places[i].output for i in range(3)] == [["cr0"], ["cr1"], ["cr2"]]
 
 
-def test_a_condition_chooses_among_the_results() -> None:
+def test_a_race_with_a_condition_selects_a_result() -> None:
     joined = run(ALL % "1.0" + "int i = all.race(isLast); print(i);", 4)
     assert "2" in joined.printed
     assert sum("cancelled" in line for line in joined.printed) <= 1
 
 
-def test_a_host_that_cannot_be_reached_is_an_exception_of_its_call() -> None:
+def test_an_unreachable_host_throws_for_its_call() -> None:
     body = (
         "future<Card> f = async r[1].work(1.0, mine);"
         "try { f.await(); } catch (UnreachableResourceException e) { print(e.message()); } print(f.done());"
@@ -127,7 +127,7 @@ def test_a_branch_whose_host_is_lost_does_not_win() -> None:
     assert [line for line in joined.printed if line.isdigit()] in (["0"], ["2"])
 
 
-def test_all_branches_lost_or_failed_is_the_first_exception_with_the_others() -> None:
+def test_a_race_without_a_result_throws_the_first_exception_with_the_others() -> None:
     body = (
         "future<Card>[] all = {async r[1].work(2.0, mine), async r[2].fail(1.0), async r[0].fail(1.5)};"
         'try { all.race(); } catch (Exception e) { print(e.source() + " " + i2s(e.others().length())); }'
@@ -139,7 +139,7 @@ def test_all_branches_lost_or_failed_is_the_first_exception_with_the_others() ->
     assert "r1 2" in joined.printed
 
 
-def test_a_dropped_future_is_a_call_that_runs_to_its_end() -> None:
+def test_the_call_of_a_dropped_future_runs_to_its_end() -> None:
     counts = "print(r[0].count()); print(r[1].count());"
     body = f"kept = async r[1].work(5.0, mine); kept = null; {counts} sleep(9.0); {counts}"
     joined = JoinedHosts(program(body), 2)
@@ -148,13 +148,13 @@ def test_a_dropped_future_is_a_call_that_runs_to_its_end() -> None:
     assert joined.machines[1].pending_calls.calls() == []
 
 
-def test_the_failure_of_a_dropped_future_is_logged_when_the_coordinator_comes_by() -> None:
+def test_the_failure_of_a_dropped_future_is_logged_at_the_next_visit() -> None:
     body = "kept = async r[1].fail(1.0); kept = null; print(r[0].count()); sleep(2.0); print(r[1].count());"
     joined = run(body, 2)
     assert "fail() failed, and its future was not awaited: ConversionException: r1" in joined.places[1].output
 
 
-def test_a_host_that_restarts_has_lost_its_call_and_the_future_says_so() -> None:
+def test_a_future_reports_a_call_lost_by_a_restarted_host() -> None:
     body = (
         "kept = async r[1].work(5.0, mine); print(r[0].count()); sleep(2.0);"
         "try { kept.await(); } catch (RestartException e) { print(e.message()); }"
@@ -167,7 +167,7 @@ def test_a_host_that_restarts_has_lost_its_call_and_the_future_says_so() -> None
     assert joined.printed[-1] == "its host restarted while r1.work() ran; it may have been executed"
 
 
-def test_a_result_that_was_stored_survives_a_restart_of_its_host() -> None:
+def test_a_stored_result_survives_a_restart_of_its_host() -> None:
     body = "kept = async r[1].work(1.0, mine); print(r[0].count()); sleep(3.0); print(kept.await().text);"
     joined = JoinedHosts(program(body), 2)
     joined.run(until=2.0)
@@ -178,7 +178,7 @@ def test_a_result_that_was_stored_survives_a_restart_of_its_host() -> None:
     assert joined.printed[-1] == "cr1"
 
 
-def test_a_wait_for_the_first_is_not_doubled_by_two_ends_at_one_time() -> None:
+def test_simultaneous_results_end_one_wait_each() -> None:
     body = (
         "future<Card>[] all = {};"
         "for (int i = 0; i < 3; i += 1) all.append(async r[0].work(1.0, mine));"
@@ -204,7 +204,7 @@ def test_results_wait_for_the_disk() -> None:
     assert joined.printed == ["0"]
 
 
-def test_a_coordinator_that_waits_can_be_detached_and_goes_on_with_an_exception() -> None:
+def test_a_waiting_coordinator_can_be_detached_with_an_exception() -> None:
     body = (
         ALL % "9.0"
         + "try { print(all.next()); } catch (UnreachableResourceException e) { print(e.message()); }"
@@ -219,7 +219,7 @@ def test_a_coordinator_that_waits_can_be_detached_and_goes_on_with_an_exception(
     assert not joined.machines[host].detach_caller(boss, "UnreachableResourceException", "no majority")
 
 
-def test_hints_for_another_start_or_for_one_that_does_not_wait_change_nothing() -> None:
+def test_hints_for_another_start_or_agent_are_ignored() -> None:
     joined = JoinedHosts(program(ALL % "5.0" + "print(all.next());"), 2)
     joined.run(until=1.0)
     host, boss = joined.boss
@@ -227,7 +227,7 @@ def test_hints_for_another_start_or_for_one_that_does_not_wait_change_nothing() 
     pending.on_ended_elsewhere("boss", boss.generation + 1, [1])
     pending.on_ended_elsewhere("nobody", boss.generation, [1])
     assert boss.waits_for_any
-    # A false hint costs a hop, and nothing else.
+    # A false hint costs only a hop.
     pending.on_ended_elsewhere("boss", boss.generation, [1, 2])
     joined.run(until=1.0)
     assert joined.printed == []

@@ -1,4 +1,4 @@
-"""`reserve`: what is taken, in which order, what calls carry, and what is given back on every way out."""
+"""`reserve`: the order of reservations, the numbers of calls, and the release at every exit."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ BACK = ["drop r0 7", "drop r1 8", "drop r2 9"]
         "new Post[] {r[1], r[2], r[1], r[0]}",
     ],
 )
-def test_each_is_taken_once_in_one_order_host_by_host(who: str) -> None:
+def test_resources_are_reserved_once_in_a_fixed_order_by_host(who: str) -> None:
     joined = ran(f"reserve ({who}) {{ print(hops()); }} print(hops());")
     assert joined.kept == [*ALL, *BACK]
     assert (joined.printed, joined.route, joined.book.nested) == (["2", "2"], [0, 1, 2], [])
 
 
-def test_one_is_taken_where_it_is() -> None:
+def test_a_single_resource_is_reserved_on_its_host() -> None:
     joined = ran("reserve (r[1]) { print(hops()); print(r[1].count()); print(hops()); }")
     assert (joined.printed, joined.route) == (["1", "0", "1"], [0, 1])
     assert joined.book.log == ["take r1", "serve r1 7", "drop r1 7"]
 
 
-def test_nothing_is_nothing_to_take() -> None:
+def test_an_empty_array_reserves_nothing() -> None:
     joined = ran("reserve (new Post[0]) { print(1); } reserve (new Post[3][0]) { } print(hops());")
     assert (joined.printed, joined.book.log) == (["1", "0"], [])
 
@@ -47,7 +47,7 @@ def test_nothing_is_nothing_to_take() -> None:
         ("new Post[][] {{r[0]}, null}", "'reserve' of null (element 1)"),
     ],
 )
-def test_null_throws_and_nothing_was_taken(who: str, said: str) -> None:
+def test_null_throws_before_any_reservation(who: str, said: str) -> None:
     joined = ran(
         f"Post none; Post[] many; try {{ reserve ({who}) {{ print(1); }} }}"
         " catch (NullException e) { print(e.message()); }"
@@ -55,13 +55,13 @@ def test_null_throws_and_nothing_was_taken(who: str, said: str) -> None:
     assert (joined.printed, joined.book.log) == ([said], [])
 
 
-def test_what_it_keeps_is_asked_once() -> None:
+def test_the_reserved_expression_is_evaluated_once() -> None:
     joined = ran("Post one = r[0]; reserve (one) { one = r[1]; r[0] = r[2]; print(one.count()); }")
     assert joined.kept == ["take r0", "drop r0 7"]
     assert joined.served == []
 
 
-# --- what calls carry -----------------------------------------------------------------------------------
+# --- numbers of calls -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -81,28 +81,28 @@ def test_a_call_carries_the_number_of_its_resource(body: str, served: list[str])
     assert (joined.served, joined.kept) == (served, [*ALL, *BACK])
 
 
-def test_so_does_each_call_of_a_together() -> None:
+def test_each_call_of_a_together_carries_the_number_of_its_resource() -> None:
     joined = ran("reserve (r) { together { for (Post one : r) one.work(2.0); } }")
     assert sorted(joined.served) == ["r0 7", "r1 8", "r2 9"]
     assert [machine.agents[f"r{i}"].served for i, machine in enumerate(joined.machines)] == [1, 1, 1]
 
 
-def test_what_is_not_reserved_is_asked_for_only_while_somebody_has_it() -> None:
+def test_a_call_of_an_unreserved_resource_is_checked_only_if_it_has_a_holder() -> None:
     joined = ran("reserve (r[1]) { r[0].count(); r[1].count(); } r[0].count();")
     assert joined.served == ["r1 7"]
 
 
-def test_a_call_behind_the_block_carries_nothing() -> None:
+def test_a_call_after_the_block_carries_no_number() -> None:
     joined = ReservingHosts(program("reserve (r[0]) { } print(r[0].count());"))
     joined.run()
-    # The host of this test never says that a resource is free again, so it is asked.
+    # The host of this test does not report a release, so the coordinator asks.
     assert (joined.served, joined.printed) == (["r0 0"], ["0"])
 
 
 # --- refused, lost, waiting -----------------------------------------------------------------------------
 
 
-def test_refused_in_the_middle_what_was_taken_is_given_back() -> None:
+def test_a_refused_reservation_releases_the_earlier_ones() -> None:
     joined = ReservingHosts(
         program(
             "try { reserve (r) { print(1); } }"
@@ -116,7 +116,7 @@ def test_refused_in_the_middle_what_was_taken_is_given_back() -> None:
     assert not joined.book.held
 
 
-def test_a_host_that_cannot_be_reached_gives_back_what_was_taken() -> None:
+def test_an_unreachable_host_releases_the_earlier_reservations() -> None:
     joined = ReservingHosts(
         program("try { reserve (r) { } } catch (UnreachableResourceException e) { print(e.message()); }")
     )
@@ -126,7 +126,7 @@ def test_a_host_that_cannot_be_reached_gives_back_what_was_taken() -> None:
     assert joined.printed == ["host 2 cannot be reached"]
 
 
-def test_a_resource_that_is_gone_cannot_be_taken() -> None:
+def test_a_missing_resource_cannot_be_reserved() -> None:
     joined = ReservingHosts(program("try { reserve (r) { } } catch (Exception e) { print(e.message()); }"))
     joined.still()
     del joined.machines[1].agents["r1"]
@@ -135,7 +135,7 @@ def test_a_resource_that_is_gone_cannot_be_taken() -> None:
     assert joined.kept == ["take r0", "drop r0 7"]
 
 
-def test_who_waits_is_asked_again_and_has_what_it_had() -> None:
+def test_a_waiting_coordinator_retries_and_keeps_its_reservations() -> None:
     joined = ReservingHosts(program("reserve (r) { print(1); }"))
     joined.book.busy.add("r1")
     joined.run()
@@ -153,7 +153,7 @@ def test_who_waits_is_asked_again_and_has_what_it_had() -> None:
     assert joined.kept == ["take r0", *["take r1"] * 3, "take r2", *BACK]
 
 
-def test_who_waits_may_be_told_why_not() -> None:
+def test_a_waiting_coordinator_can_be_refused_with_a_reason() -> None:
     joined = ReservingHosts(program("reserve (r) { print(1); }"))
     joined.book.busy.add("r1")
     joined.run()
@@ -163,7 +163,7 @@ def test_who_waits_may_be_told_why_not() -> None:
     assert joined.kept == ["take r0", "take r1", "drop r0 7"]
 
 
-def test_a_stale_number_throws_before_the_portal_begins() -> None:
+def test_a_stale_number_throws_before_the_portal_starts() -> None:
     joined = ReservingHosts(
         program(
             "reserve (r[1]) { sleep(1.0); try { r[1].work(1.0); } catch (ReservationLostException e)"
@@ -178,7 +178,7 @@ def test_a_stale_number_throws_before_the_portal_begins() -> None:
     assert (joined.kept, joined.book.held) == (["take r1", "drop r1 7"], {"r1": 99})
 
 
-def test_a_number_is_compared_where_nobody_has_the_resource_any_more() -> None:
+def test_a_number_is_checked_after_the_resource_was_released() -> None:
     joined = ReservingHosts(program("reserve (r[1]) { sleep(1.0); r[1].work(1.0); }"))
     joined.run(until=0.5)
     joined.book.held.clear()
@@ -188,7 +188,7 @@ def test_a_number_is_compared_where_nobody_has_the_resource_any_more() -> None:
     assert joined.machines[1].agents["r1"].served == 0
 
 
-def test_in_a_together_it_is_the_outcome_of_that_call() -> None:
+def test_a_stale_number_in_a_together_is_the_outcome_of_its_call() -> None:
     joined = ReservingHosts(
         program(
             "reserve (r) { sleep(1.0); try { together { for (Post one : r) one.work(2.0); } }"
@@ -210,7 +210,7 @@ print(i2s(r[0].count()) + i2s(r[1].count()) + i2s(r[2].count()));
 
 
 @pytest.mark.parametrize("calls", ["r[1].work(1.0);", "together { for (Post one : r) one.work(1.0); }"])
-def test_the_call_of_somebody_else_waits_until_it_is_told_why_not(calls: str) -> None:
+def test_a_call_of_a_reserved_resource_waits_until_it_is_refused(calls: str) -> None:
     joined = ReservingHosts(program(RESERVED % calls))
     joined.machines[1].agents["r1"].reserved = True
     joined.book.busy.add("r1")
@@ -227,7 +227,7 @@ def test_the_call_of_somebody_else_waits_until_it_is_told_why_not(calls: str) ->
 
 
 @pytest.mark.parametrize("calls", ["r[1].work(1.0);", "together { for (Post one : r) one.work(1.0); }"])
-def test_or_until_it_is_served(calls: str) -> None:
+def test_a_call_of_a_reserved_resource_waits_until_it_is_served(calls: str) -> None:
     joined = ReservingHosts(program(RESERVED % calls))
     joined.machines[1].agents["r1"].reserved = True
     joined.book.busy.add("r1")
@@ -242,8 +242,8 @@ def test_or_until_it_is_served(calls: str) -> None:
     "calls",
     ["r[1].work(1.0);", "together { for (Post one : r) one.work(1.0); }", "reserve (r) { r[1].work(1.0); }"],
 )
-def test_a_host_may_let_it_ask_again_at_once(calls: str) -> None:
-    """Who has no disk has nothing to wait for, and says so while it is asked."""
+def test_a_host_can_release_a_waiting_coordinator_within_its_request(calls: str) -> None:
+    """A host without a disk does not wait, and unfreezes the coordinator within its request."""
     joined = ReservingHosts(program(RESERVED % calls))
     machine = joined.machines[1]
     machine.agents["r1"].reserved = True
@@ -275,8 +275,8 @@ def test_a_host_may_let_it_ask_again_at_once(calls: str) -> None:
     assert joined.printed == ["111" if "together" in calls else "010"]
 
 
-def test_in_a_together_the_others_of_that_host_go_on() -> None:
-    """Two calls of one host, of which one is reserved by somebody else: only that one throws."""
+def test_a_refused_call_in_a_together_leaves_the_other_calls_of_its_host() -> None:
+    """Only the call of the resource that another coordinator has reserved throws."""
     joined = ReservingHosts(
         program("try { together { r[1].work(1.0); r[2].work(1.0); } } catch (Exception e) { }")
     )
@@ -295,7 +295,7 @@ def test_in_a_together_the_others_of_that_host_go_on() -> None:
 # --- nested ---------------------------------------------------------------------------------------------
 
 
-def test_a_nested_one_must_not_wait_and_takes_nothing_twice() -> None:
+def test_a_nested_reserve_does_not_wait_or_reserve_twice() -> None:
     joined = ran(
         "reserve (r[1]) { reserve (r) { r[1].count(); } r[1].count(); reserve (r[1]) { r[1].count(); } }"
     )
@@ -304,12 +304,12 @@ def test_a_nested_one_must_not_wait_and_takes_nothing_twice() -> None:
     assert joined.book.nested == ["r0", "r2"]
 
 
-def test_one_around_that_keeps_nothing_makes_none_nested() -> None:
+def test_an_empty_outer_reserve_makes_no_inner_one_nested() -> None:
     joined = ran("reserve (new Post[0]) { reserve (r) { } }")
     assert (joined.kept, joined.book.nested) == ([*ALL, *BACK], [])
 
 
-def test_a_nested_one_that_is_refused_leaves_what_is_around_it() -> None:
+def test_a_refused_nested_reserve_keeps_the_outer_reservations() -> None:
     joined = ReservingHosts(
         program(
             "reserve (r[0]) { try { reserve (r) { } } catch (ReservedException e) { print(r[0].count()); } }"
@@ -321,13 +321,13 @@ def test_a_nested_one_that_is_refused_leaves_what_is_around_it() -> None:
     assert (joined.served, joined.printed) == (["r0 7"], ["0"])
 
 
-def test_methods_have_blocks_of_their_own() -> None:
+def test_methods_have_separate_reserve_blocks() -> None:
     joined = ran("reserve (r[0]) { print(early(r[0])); print(early(r[1])); } print(early(r[0]));")
     assert joined.kept == ["take r0", "take r1", "drop r1 8", "drop r0 7", "take r0", "drop r0 9"]
     assert joined.printed == ["0", "0", "0"]
 
 
-# --- ways out -------------------------------------------------------------------------------------------
+# --- exits ----------------------------------------------------------------------------------------------
 
 
 LIMITED = "try { within (1.0) { reserve (r) { %s } } } catch (TimeLimitException e) { }"
@@ -352,25 +352,25 @@ LIMITED = "try { within (1.0) { reserve (r) { %s } } } catch (TimeLimitException
         ("reserve (r) { within (1.0) { sleep(2.0); } }", "TimeLimitException: the time is over"),
     ],
 )
-def test_everything_is_given_back_once_on_every_way_out(body: str, death: str) -> None:
+def test_every_exit_releases_all_reservations_once(body: str, death: str) -> None:
     joined = ran(body)
     assert (joined.kept, joined.death) == ([*ALL, *BACK], death)
 
 
-def test_a_coordinator_that_waits_for_what_is_reserved_hears_that_its_time_is_over() -> None:
+def test_a_time_limit_ends_the_wait_for_a_reservation() -> None:
     joined = ReservingHosts(
         program(
             "try { within (2.0) { reserve (r) { } } } catch (TimeLimitException e) { print(e.message()); }"
         )
     )
     joined.book.busy.add("r1")
-    joined.places[1].abandon_wait = lambda agent: True  # type: ignore[method-assign]  # its host waits no more
+    joined.places[1].abandon_wait = lambda agent: True  # type: ignore[method-assign]  # ends the wait
     joined.run(until=5.0)
     assert joined.printed == ["the time is over before r1 could be reserved"]
     assert joined.kept == ["take r0", "take r1", "drop r0 7"]
 
 
-def test_giving_back_is_not_cut_short_by_a_limit_that_is_over() -> None:
+def test_an_expired_limit_does_not_interrupt_the_release() -> None:
     joined = ran(
         "real begun = now();"
         "try { within (1.0) { reserve (r) { try { sleep(9.0); } finally { sleep(3.0); } } } }"
@@ -380,9 +380,9 @@ def test_giving_back_is_not_cut_short_by_a_limit_that_is_over() -> None:
 
 
 @pytest.mark.parametrize("allowed", ["", "count"])
-def test_who_may_call_nothing_of_a_resource_does_not_keep_it_from_others(allowed: str) -> None:
-    told = 'catch (AccessException e) { print(e.source() + ": " + e.message()); }'
-    body = 'try { reserve (r) { print("in"); } }' + told
+def test_a_coordinator_without_a_permitted_call_cannot_reserve_a_resource(allowed: str) -> None:
+    caught = 'catch (AccessException e) { print(e.source() + ": " + e.message()); }'
+    body = 'try { reserve (r) { print("in"); } }' + caught
     joined = ReservingHosts(program(body))
 
     def rules(coordinator: str, resource: str, method: int) -> str:

@@ -1,4 +1,4 @@
-"""Reservations in a block: kept, restored, recovered, asked for from outside, and changed by a peer."""
+"""Reservations in a block: stored, restored, recovered, inspected, and changed by a peer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ print("behind");
 
 
 def waiting() -> ReservingHosts:
-    """The boss stands at its second `take`, and has r0."""
+    """The boss waits in its second `take` and holds r0."""
     joined = ReservingHosts(program("reserve (r) { print(r[2].count()); }"))
     joined.book.busy.add("r1")
     joined.run()
@@ -38,7 +38,7 @@ def waiting() -> ReservingHosts:
 
 
 def array_of(block: Block) -> int:
-    """Where `waiting` has what it reserves."""
+    """The address of the array of reservations in the block of `waiting`."""
     w = block.w
     ints = (
         at for at in range(block.heap, block.top - 6) if w[at] & 0xFF == layout.ARRAY and w[at] >> 32 == 7
@@ -46,7 +46,7 @@ def array_of(block: Block) -> int:
     return next(at for at in ints if w[at + 1 : at + 7].tolist() == [0, 7, 1, 0, 2, 0])
 
 
-def test_what_it_has_is_told_wherever_it_stands() -> None:
+def test_held_reservations_are_known_at_every_step() -> None:
     joined = ReservingHosts(program(BODY))
     seen = []
     for _ in range(40):
@@ -69,13 +69,13 @@ def test_what_it_has_is_told_wherever_it_stands() -> None:
     assert joined.printed == ["0", "1", "behind"]
 
 
-def test_what_is_inspected_says_what_is_reserved() -> None:
+def test_a_block_view_shows_the_reservations() -> None:
     joined = waiting()
     shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
     assert shown.threads[0].frames[0].reserved == ("r0, by number 7",)
 
 
-def test_what_it_had_is_not_shown_behind_the_block() -> None:
+def test_a_block_view_shows_no_reservations_after_the_block() -> None:
     joined = ReservingHosts(program("reserve (r) { } sleep(5.0);"))
     joined.run(until=1.0)
     host, boss = joined.boss
@@ -85,18 +85,18 @@ def test_what_it_had_is_not_shown_behind_the_block() -> None:
 
 
 @pytest.mark.parametrize(("word", "value"), [(1, 3), (1, 4), (1, -1), (2, -7), (2, layout.COUNT_LIMIT)])
-def test_what_a_program_of_somebody_else_has_put_there_is_no_reservation(word: int, value: int) -> None:
+def test_invalid_numbers_in_a_block_are_no_reservations(word: int, value: int) -> None:
     joined = waiting()
     host, boss = joined.boss
     boss.block.w[array_of(boss.block) + word] = value
     assert joined.machines[host].held_reservations.of_coordinator(boss) == []
     joined.machines[host].unfreeze(boss)
     joined.still()
-    # It goes on with what is left; the next host would refuse its block.
+    # The coordinator continues here; the next host would refuse its block.
     assert (joined.death, boss.frozen) == ("", True)
 
 
-def test_a_restored_one_goes_on_taking_by_itself() -> None:
+def test_a_restored_coordinator_continues_its_reservations() -> None:
     joined = waiting()
     host, boss = joined.boss
     image = bytes(joined.machines[host].pack(boss))
@@ -111,7 +111,7 @@ def test_a_restored_one_goes_on_taking_by_itself() -> None:
     assert joined.kept == ["take r0", "take r1", "take r1", "take r2", "drop r0 7", "drop r1 8", "drop r2 9"]
 
 
-def test_at_a_portal_call_inside_it_does_not() -> None:
+def test_a_coordinator_restored_in_a_portal_call_does_not_continue() -> None:
     joined = ReservingHosts(
         program("try { reserve (r) { r[1].work(9.0); } } catch (RestartException e) { print(1); }")
     )
@@ -127,7 +127,7 @@ def test_at_a_portal_call_inside_it_does_not() -> None:
     assert joined.kept[3:] == ["drop r0 7", "drop r1 8", "drop r2 9"]
 
 
-def test_a_recovered_one_is_told_and_gives_back_by_the_numbers_that_it_had() -> None:
+def test_a_recovered_coordinator_releases_its_numbers_after_an_exception() -> None:
     joined = waiting()
     host, boss = joined.boss
     image = bytes(joined.machines[host].pack(boss))
@@ -140,8 +140,8 @@ def test_a_recovered_one_is_told_and_gives_back_by_the_numbers_that_it_had() -> 
     assert joined.kept == ["take r0", "take r1", "drop r0 7"]
 
 
-def test_what_a_page_has_of_it_stands_before_what_it_does_behind_take() -> None:
-    """The coordinator hopped to r1, so its page is that of `take`; a portal that acts needs a new page."""
+def test_an_acting_call_after_a_reservation_needs_a_new_page() -> None:
+    """The coordinator hopped to r1, so its page is from `take`; an acting portal needs a new page."""
     joined = ReservingHosts(program("reserve (r[1]) { r[1].work(1.0); }"))
     asked = []
     joined.places[1].may_start_call = lambda agent, acts: asked.append(agent.is_persisted) or True  # type: ignore[method-assign]
@@ -149,7 +149,7 @@ def test_what_a_page_has_of_it_stands_before_what_it_does_behind_take() -> None:
     assert asked == [False]
 
 
-def test_so_it_is_behind_a_fetch() -> None:
+def test_an_acting_call_after_a_fetch_needs_a_new_page() -> None:
     joined = ReservingHosts(program("together { r[1].work(5.0); r[2].work(1.0); } r[1].work(1.0);"))
     asked = []
     joined.places[1].may_start_call = lambda agent, acts: asked.append(agent.is_persisted) or True  # type: ignore[method-assign]
@@ -158,7 +158,7 @@ def test_so_it_is_behind_a_fetch() -> None:
     assert asked == [False]
 
 
-def test_calls_of_others_are_those_that_are_not_of_the_coordinator() -> None:
+def test_calls_of_other_coordinators_are_reported() -> None:
     joined = ReservingHosts(program("together { r[0].work(5.0); r[1].work(5.0); } r[1].work(5.0);"))
     joined.still()
     machine, resource = joined.machines[1], joined.machines[1].agents["r1"]
@@ -175,14 +175,14 @@ def test_calls_of_others_are_those_that_are_not_of_the_coordinator() -> None:
         True,
         False,
     )
-    # Nobody knows any more whose it is.
+    # The detached call has no caller.
     assert machine.detach_caller(boss, "RestartException", "it was fenced")
     assert machine.served_calls.has_others(resource, "boss")
     joined.run()
     assert not machine.served_calls.has_others(resource, "pilot")
 
 
-def test_a_resource_that_has_died_has_no_calls() -> None:
+def test_a_failed_resource_has_no_calls() -> None:
     joined = ReservingHosts(program("r[1].work(5.0);"))
     joined.run(until=1.0)
     resource = joined.machines[1].agents["r1"]
@@ -194,15 +194,15 @@ def test_a_resource_that_has_died_has_no_calls() -> None:
     ("word", "value"),
     [
         (1, 3),  # a coordinator
-        (1, 4),  # nobody
+        (1, 4),  # no member
         (1, -1),
         (1, 1),  # twice
         (2, -7),
         (2, layout.COUNT_LIMIT),
-        (0, None),  # a number short
+        (0, None),  # a missing number
     ],
 )
-def test_what_no_coordinator_can_have_reserved_is_refused(word: int, value: int | None) -> None:
+def test_a_block_with_impossible_reservations_is_refused(word: int, value: int | None) -> None:
     joined = waiting()
     host, boss = joined.boss
     machine = joined.machines[host]
@@ -210,7 +210,7 @@ def test_what_no_coordinator_can_have_reserved_is_refused(word: int, value: int 
     machine.restore(boss.member, bytes(boss.block.image()), boss.limits)
     w, array = boss.block.w, array_of(boss.block)
     if value is None:
-        # Its last word is an array without elements.
+        # The last word becomes an array without elements.
         w[array + 6] = w[array] & 0xFFFFFFFF | 1 << 32
         w[array] -= 1 << 32
     else:
@@ -236,7 +236,7 @@ reserve (new Post[] {r[2]}) {
 
 
 class CollectingReserving(CollectingHosts, ReservingHosts):
-    """Both."""
+    """Hosts that collect garbage and have reservations."""
 
 
 def whole(joined: ReservingHosts) -> tuple[list[str], list[str], dict[str, int]]:
@@ -246,7 +246,7 @@ def whole(joined: ReservingHosts) -> tuple[list[str], list[str], dict[str, int]]
 
 @pytest.mark.parametrize("kind", [ReservingHosts, CollectingReserving])
 @pytest.mark.parametrize("slice_length", [1, 2, 3, 17])
-def test_wherever_it_is_interrupted_the_same_is_asked(
+def test_interruptions_do_not_change_the_requests(
     kind: type[ReservingHosts], slice_length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = whole(ReservingHosts(program(LONG)))
@@ -260,7 +260,7 @@ def test_wherever_it_is_interrupted_the_same_is_asked(
 
 @cache
 def images() -> tuple[tuple[int, bytes], ...]:
-    """Every block that has travelled, and where to."""
+    """Every block of a hop, with its target."""
     found: list[tuple[int, bytes]] = []
 
     class Noting(ReservingHosts):
@@ -276,7 +276,7 @@ def images() -> tuple[tuple[int, bytes], ...]:
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_hostile_reservations_are_refused_or_harmless(data: st.DataObject) -> None:
-    """Whatever a peer changes in a block that carries reservations: BlockError, or a run like any other."""
+    """Any change of a block with reservations by a peer gives a BlockError or a normal run."""
     target, image = data.draw(damaged_images(images()))
     joined = ReservingHosts(program(LONG))
     joined.machines[0].agents.pop("boss").ended = "dropped"

@@ -71,7 +71,7 @@ def program() -> Program:
 
 @pytest.mark.parametrize("kind", [JoinedHosts, CollectingHosts])
 @pytest.mark.parametrize("slice_length", [1, 2, 3, 17, 100_000])
-def test_what_is_said_is_the_same(
+def test_interruptions_do_not_change_the_output(
     kind: type[JoinedHosts], slice_length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine_module, "SLICE", slice_length)
@@ -79,11 +79,11 @@ def test_what_is_said_is_the_same(
         monkeypatch.setattr(machine_module, name, 1 if kind is CollectingHosts else 200)
     joined = kind(program(), 3)
     joined.run()
-    # The coordinator has spoken on several hosts; each line is said once.
+    # The coordinator prints on several hosts; each line appears once.
     assert sorted(joined.printed) == sorted(SAID)
 
 
-def test_a_heap_that_is_too_small_for_what_comes_back_is_an_exception() -> None:
+def test_results_that_exceed_the_heap_throw() -> None:
     text = """
     resource Post { init(string[] arg) { } portal much() emit int[] { sleep(0.1); return new int[900]; } }
     coordinator Boss { init(string[] arg) {
@@ -100,7 +100,7 @@ def test_a_heap_that_is_too_small_for_what_comes_back_is_an_exception() -> None:
 
 @cache
 def images() -> tuple[tuple[int, bytes], ...]:
-    """Every block that has travelled, and where to."""
+    """Every block of a hop, with its target."""
     found: list[tuple[int, bytes]] = []
 
     class Noting(JoinedHosts):
@@ -112,15 +112,15 @@ def images() -> tuple[tuple[int, bytes], ...]:
     return tuple(found)
 
 
-def test_only_what_is_alive_travels() -> None:
+def test_only_live_data_migrates() -> None:
     sizes = [len(image) for _, image in images()]
-    # A call that has begun leaves its arguments behind.
+    # The arguments of a started call stay on its host.
     assert max(sizes) < 4000
     assert min(sizes) < max(sizes)
 
 
 def kinds(image: bytes) -> list[int]:
-    """The kinds of the things on a heap, in their order."""
+    """The kinds of the objects on a heap, in order."""
     block = Block(bytearray(image), len(image) // 8, len(image) // 8)
     found, place = [], block.heap
     while place < block.top:
@@ -129,14 +129,14 @@ def kinds(image: bytes) -> list[int]:
     return found
 
 
-def test_tickets_are_gone_when_their_together_is_over() -> None:
+def test_tickets_are_removed_after_their_together() -> None:
     last = [kinds(image).count(layout.TICKET) for _, image in images()]
-    # The first hop is a call before all; in a round there are six calls and what holds them.
+    # The first hop is a call before the blocks; a block has six calls and one group ticket.
     assert last[0] == 0
     assert max(last) == 7
 
 
-def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
+def test_a_block_view_shows_the_states_of_calls() -> None:
     joined = JoinedHosts(program(), 3)
     joined.cut.add(2)
     seen: set[str] = set()
@@ -159,7 +159,7 @@ def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:
-    """Whatever a peer changes in a block that carries tickets: BlockError, or a run like any other."""
+    """Any change of a block with tickets by a peer gives a BlockError or a normal run."""
     target, image = data.draw(damaged_images(images()))
     joined = JoinedHosts(program(), 3)
     joined.machines[0].agents.pop("boss").ended = "dropped"
@@ -176,8 +176,8 @@ def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:
 
 @pytest.mark.parametrize("word", [layout.W_GENERATION, layout.W_SEQUENCE, layout.W_HOPS])
 @pytest.mark.parametrize("value", [-1, layout.COUNT_LIMIT])
-def test_a_counter_that_no_host_counts_to_is_refused(word: int, value: int) -> None:
-    """Before there is a ticket: its number would be refused at the next host, when calls are under way."""
+def test_an_impossible_counter_is_refused(word: int, value: int) -> None:
+    """The check is made before a ticket exists: the next host would refuse its number during calls."""
     target, sound = images()[0]
     image = bytearray(sound)
     image[8 * word : 8 * word + 8] = value.to_bytes(8, "little", signed=True)
@@ -187,7 +187,7 @@ def test_a_counter_that_no_host_counts_to_is_refused(word: int, value: int) -> N
         joined.machines[target].inject(joined.team[3], bytes(image), AgentLimits())
 
 
-def test_a_block_of_the_version_before_goes_on() -> None:
+def test_a_block_of_the_previous_version_continues() -> None:
     """A block of version 2 has no clock and no tickets in its header, which is two words shorter."""
     target, image = images()[0]
     assert layout.TICKET not in kinds(image)
@@ -199,7 +199,7 @@ def test_a_block_of_the_version_before_goes_on() -> None:
     assert sorted(joined.printed) == sorted(SAID)
 
 
-def test_a_block_of_the_version_before_has_no_tickets() -> None:
+def test_a_block_of_the_previous_version_with_tickets_is_refused() -> None:
     target, image = images()[2]
     assert layout.TICKET in kinds(image)
     joined = JoinedHosts(program(), 3)
@@ -208,7 +208,7 @@ def test_a_block_of_the_version_before_has_no_tickets() -> None:
 
 
 def in_version_2(image: bytes) -> bytes:
-    """The same block as the version before would have packed it, if it had known tickets."""
+    """The block in the format of the previous version, with tickets."""
     old = Block(bytearray(image), len(image) // 8, len(image) // 8)
     w = old.w
     less = layout.HEADER_WORDS - layout.HEADERS[layout.EARLIER_VERSION]

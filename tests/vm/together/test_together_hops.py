@@ -1,4 +1,4 @@
-"""A together over several hosts: how far the coordinator goes; what is unreachable, kept, lost or told."""
+"""A together on several hosts: the hops of the coordinator; unreachable hosts, stored and lost results."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ def run(body: str, hosts: int) -> JoinedHosts:
 
 
 @pytest.mark.parametrize("hosts", [1, 2, 3, 5, 16])
-def test_a_round_takes_two_hops_a_host_at_most_and_no_longer_than_its_longest_call(hosts: int) -> None:
+def test_a_together_takes_at_most_two_hops_a_host_and_the_time_of_one_call(hosts: int) -> None:
     joined = run(ALL + TOLD, hosts)
     assert joined.printed == [*[f"cr{i}" for i in range(hosts)], "after 2.0"]
-    # Out to each other host, and back from the last one to each that has not been fetched.
+    # One hop to each other host, and back from the last one to each host with unfetched results.
     assert len(joined.images) == 2 * (hosts - 1)
     assert len(joined.images) <= 2 * hosts
 
 
-def test_one_visit_begins_all_calls_of_a_host_and_the_last_host_is_fetched_first() -> None:
+def test_one_visit_starts_all_calls_of_a_host() -> None:
     body = 'together { r[0].count(); r[1].count(); r[2].count(); r[1].fail("no"); r[0].count(); }'
     joined = run(f"try {{ {body} }} catch (ConversionException e) {{ print(e.message()); }}", 3)
     assert joined.route == [0, 1, 2, 0, 1]
@@ -67,12 +67,12 @@ def test_one_visit_begins_all_calls_of_a_host_and_the_last_host_is_fetched_first
     assert joined.printed == ["no"]
 
 
-def test_what_is_only_here_needs_no_hop() -> None:
+def test_local_calls_need_no_hop() -> None:
     joined = run("together { x = r[0].count(); y = r[0].count(); } print(x + y);", 2)
     assert (joined.images, joined.printed) == ([], ["0"])
 
 
-def test_a_host_that_cannot_be_reached_is_an_exception_of_its_calls_and_the_others_go_on() -> None:
+def test_an_unreachable_host_throws_only_for_its_calls() -> None:
     joined = JoinedHosts(
         program(f"try {{ {ALL} }} catch (Exception e) {{ print(e.message()); }} print(r[2].count());"), 3
     )
@@ -82,7 +82,7 @@ def test_a_host_that_cannot_be_reached_is_an_exception_of_its_calls_and_the_othe
     assert joined.route == [0, 2, 0, 2]
 
 
-def test_a_host_that_is_lost_between_begin_and_fetch_is_one_too() -> None:
+def test_a_host_lost_before_the_fetch_throws_for_its_calls() -> None:
     joined = JoinedHosts(program(f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }}"), 3)
     joined.run(until=1.0)
     joined.cut.add(1)
@@ -90,7 +90,7 @@ def test_a_host_that_is_lost_between_begin_and_fetch_is_one_too() -> None:
     assert joined.printed == ["r1"]
 
 
-def test_a_call_that_its_block_has_ended_without_is_cancelled_when_the_coordinator_comes_by() -> None:
+def test_a_call_left_behind_is_cancelled_at_the_next_visit() -> None:
     body = f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }} sleep(1.0); print(r[1].count());"
     joined = JoinedHosts(program(body.replace("2.0", "i % 2 * 45.0 + 5.0")), 3)
     joined.run(until=1.0)
@@ -100,12 +100,12 @@ def test_a_call_that_its_block_has_ended_without_is_cancelled_when_the_coordinat
     assert joined.machines[1].pending_calls.calls()
     joined.cut.clear()
     joined.run()
-    # It is told before anything else happens there, and tidies up meanwhile.
+    # The call is cancelled before the next portal call there, and cleans up in parallel.
     assert joined.places[1].output == ["0", "r1 cancelled"]
     assert joined.machines[1].pending_calls.calls() == []
 
 
-def test_calls_wait_for_their_host_to_let_them_begin() -> None:
+def test_calls_wait_for_the_permission_of_their_host() -> None:
     joined = JoinedHosts(program(ALL + TOLD), 2)
     joined.places[1].lets = False
     joined.run()
@@ -119,7 +119,7 @@ def test_calls_wait_for_their_host_to_let_them_begin() -> None:
     assert joined.printed == ["cr0", "cr1", "after 4.0"]
 
 
-def test_calls_that_their_host_refuses_have_not_begun() -> None:
+def test_refused_calls_have_not_started() -> None:
     joined = JoinedHosts(program(f"try {{ {ALL} }} catch (LimitException e) {{ print(e.message()); }}"), 2)
     joined.places[1].lets = False
     joined.run()
@@ -129,7 +129,7 @@ def test_calls_that_their_host_refuses_have_not_begun() -> None:
     assert not joined.machines[1].pending_calls.calls()
 
 
-def test_what_came_back_is_fetched_only_when_it_is_kept_and_then_told_to_the_host() -> None:
+def test_a_result_is_fetched_only_when_durable_and_then_acknowledged() -> None:
     joined = JoinedHosts(program(ALL + TOLD), 2)
     joined.places[1].keeps = False
     joined.run()
@@ -145,7 +145,7 @@ def test_what_came_back_is_fetched_only_when_it_is_kept_and_then_told_to_the_hos
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
 
 
-def test_a_resource_that_dies_is_an_exception_of_its_calls_kept_until_they_are_fetched() -> None:
+def test_a_failed_resource_stores_an_exception_for_its_calls() -> None:
     body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.source() + e.message()); }}"
     joined = JoinedHosts(program(body), 3)
     joined.run(until=1.0)
@@ -157,7 +157,7 @@ def test_a_resource_that_dies_is_an_exception_of_its_calls_kept_until_they_are_f
     assert joined.printed == ["r1r1 has died: a test"]
 
 
-def test_calls_of_a_resource_that_is_gone_do_not_begin() -> None:
+def test_calls_of_a_failed_resource_do_not_start() -> None:
     body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.message()); }}"
     joined = JoinedHosts(program(body), 2)
     joined.machines[1]._scheduler.die(joined.machines[1].agents["r1"], "a test")
@@ -165,7 +165,7 @@ def test_calls_of_a_resource_that_is_gone_do_not_begin() -> None:
     assert joined.printed == ["r1 is not available: it died of a test"]
 
 
-def test_a_restarted_host_has_lost_what_ran() -> None:
+def test_a_restarted_host_has_lost_its_running_calls() -> None:
     joined = JoinedHosts(
         program(f"try {{ {ALL} {TOLD} }} catch (RestartException e) {{ print(e.message()); }}"), 3
     )
@@ -177,7 +177,7 @@ def test_a_restarted_host_has_lost_what_ran() -> None:
     assert joined.machines[1].pending_calls.calls() == []
 
 
-def test_a_restarted_host_gives_what_it_has_kept() -> None:
+def test_a_restarted_host_returns_its_stored_results() -> None:
     joined = JoinedHosts(program(ALL.replace("2.0", "2.0 - i") + TOLD), 3)
     joined.run(until=1.5)
     [begun] = joined.machines[1].pending_calls.calls()
@@ -187,7 +187,7 @@ def test_a_restarted_host_gives_what_it_has_kept() -> None:
     assert joined.printed == ["cr0", "cr1", "cr2", "after 2.0"]
 
 
-def test_a_result_that_is_no_sound_block_is_lost() -> None:
+def test_a_result_in_an_invalid_block_is_lost() -> None:
     joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.source()); }}"), 2)
     joined.run(until=1.0)
     [begun] = joined.machines[1].pending_calls.calls()
@@ -198,7 +198,7 @@ def test_a_result_that_is_no_sound_block_is_lost() -> None:
     assert machine.pending_calls.calls()[-1].state == "lost"
 
 
-def test_another_start_of_the_coordinator_fetches_nothing_of_the_earlier_one() -> None:
+def test_a_later_start_does_not_fetch_results_of_an_earlier_one() -> None:
     joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 3)
     joined.run(until=1.0)
     host, boss = joined.boss
@@ -214,7 +214,7 @@ def test_another_start_of_the_coordinator_fetches_nothing_of_the_earlier_one() -
     assert joined.machines[1].pending_calls.cancel("boss", 7, "fenced") == [("boss", 1, 2)]
 
 
-def test_cancelled_calls_of_an_earlier_start_are_told_and_forgotten() -> None:
+def test_calls_of_a_forgotten_coordinator_are_cancelled_and_deleted() -> None:
     joined = JoinedHosts(program(ALL), 2)
     joined.run(until=1.0)
     assert joined.machines[0].pending_calls.cancel("boss", None, "boss is forgotten") == [("boss", 1, 1)]
@@ -224,7 +224,7 @@ def test_cancelled_calls_of_an_earlier_start_are_told_and_forgotten() -> None:
     assert joined.machines[0].pending_calls.cancel("boss", None, "again") == []
 
 
-def test_a_pause_ends_what_runs_and_its_portal_goes_on_alone() -> None:
+def test_a_pause_fails_running_calls_whose_portals_continue() -> None:
     joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 2)
     joined.run(until=1.0)
     joined.machines[0].pending_calls.fail_running("boss", "RestartException", "the mission was paused")
@@ -234,7 +234,7 @@ def test_a_pause_ends_what_runs_and_its_portal_goes_on_alone() -> None:
     assert joined.printed == ["the mission was paused (r0.work)"]
 
 
-def test_who_calls_is_known_though_it_has_moved_on() -> None:
+def test_the_caller_of_a_portal_is_known_after_its_departure() -> None:
     joined = JoinedHosts(program(ALL), 2)
     joined.run(until=1.0)
     resource = joined.machines[0].agents["r0"]
@@ -255,7 +255,7 @@ LEAVES = (
 )
 
 
-def test_whoever_leaves_tells_all_hosts_first_and_then_waits_for_them() -> None:
+def test_an_exit_cancels_the_calls_on_all_hosts_before_it_waits() -> None:
     joined = run(
         LEAVES + 'catch (ArithmeticException e) { print("left after " + f2s(now() - begun, 1)); }', 3
     )
@@ -265,7 +265,7 @@ def test_whoever_leaves_tells_all_hosts_first_and_then_waits_for_them() -> None:
     assert [machine.pending_calls.calls() for machine in joined.machines] == [[], [], []]
 
 
-def test_whoever_leaves_while_a_host_is_cut_off_leaves_all_the_same() -> None:
+def test_an_exit_does_not_wait_for_an_unreachable_host() -> None:
     joined = JoinedHosts(program(LEAVES + 'catch (ArithmeticException e) { print("left"); }'), 3)
     joined.run(until=0.5)
     joined.cut.add(0)
@@ -274,7 +274,7 @@ def test_whoever_leaves_while_a_host_is_cut_off_leaves_all_the_same() -> None:
     assert not any("boss" in machine.agents for machine in joined.machines)
 
 
-def test_a_restored_coordinator_that_only_fetches_goes_on() -> None:
+def test_a_coordinator_restored_during_a_fetch_continues() -> None:
     joined = JoinedHosts(program(ALL + TOLD), 2)
     joined.run(until=1.0)
     host, boss = joined.boss
@@ -286,7 +286,7 @@ def test_a_restored_coordinator_that_only_fetches_goes_on() -> None:
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
 
 
-def test_whoever_is_recovered_is_told_first_also_where_it_leaves_or_its_time_is_over() -> None:
+def test_a_recovery_exception_precedes_an_exit_or_a_time_limit() -> None:
     """The actions of an earlier start after it left the block, or after its time limit, are unknown."""
     caught = "catch (RestartException e) { print(e.message()); } catch (TimeLimitException e) { print(0); }"
     limited = "try { within (1.0) { " + ALL + " } } " + caught
@@ -302,7 +302,7 @@ def test_whoever_is_recovered_is_told_first_also_where_it_leaves_or_its_time_is_
         assert "0" not in joined.printed
 
 
-def test_a_fence_of_the_lease_throws_where_a_coordinator_fetches() -> None:
+def test_an_expired_lease_throws_during_a_fetch() -> None:
     joined = JoinedHosts(
         program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message() + f2s(now() - begun)); }}"),
         2,
@@ -315,16 +315,16 @@ def test_a_fence_of_the_lease_throws_where_a_coordinator_fetches() -> None:
     assert joined.printed == ["r0 cancelled", "r1 cancelled", "the lease is over, after 1.5"]
 
 
-def test_a_time_limit_is_held_where_the_calls_run() -> None:
+def test_each_host_cancels_its_calls_at_the_time_limit() -> None:
     body = "try { within (1.0) { " + ALL + " } } catch (TimeLimitException e) { print(e.message()); }"
     joined = run(body + " print(now() - begun);", 3)
     said = "the time is over; r0.work() was cancelled; r1.work() was cancelled; r2.work() was cancelled"
     said += "; the block ends 0.5 s late: it waited for its calls and their hosts"
-    # Each host has cancelled its own by itself, at the same time.
+    # Each host has cancelled its calls at the same time.
     assert joined.printed == ["r0 cancelled", "r1 cancelled", "r2 cancelled", said, "1.5"]
 
 
-def test_a_time_limit_counts_the_flight_and_the_sleep_of_hosts() -> None:
+def test_a_time_limit_includes_transfers_and_downtimes_of_hosts() -> None:
     joined = JoinedHosts(
         program(f"try {{ within (5.0) {{ r[1].work(9.0, mine); }} }} {LIMIT}"),
         2,
@@ -344,7 +344,7 @@ def test_a_time_limit_counts_the_flight_and_the_sleep_of_hosts() -> None:
     )
 
 
-def test_a_time_limit_gives_up_a_departure_that_has_not_begun() -> None:
+def test_a_time_limit_cancels_a_departure_that_has_not_started() -> None:
     body = "within (5.0) { r[1].count(); } "
     joined = JoinedHosts(
         program(f"try {{ {body} }} catch (TimeLimitException e) {{ print(e.message()); }}"), 2
@@ -356,7 +356,7 @@ def test_a_time_limit_gives_up_a_departure_that_has_not_begun() -> None:
     assert not joined.places[0].departures
 
 
-def test_a_time_limit_that_cannot_give_up_is_told_when_the_coordinator_hears() -> None:
+def test_a_time_limit_is_reported_after_an_uncancellable_departure() -> None:
     joined = JoinedHosts(
         program(
             "try { within (5.0) { r[1].count(); } } catch (TimeLimitException e) { print(e.message()); }"
@@ -410,7 +410,7 @@ def test_hostile_tickets_are_refused() -> None:
             joined.machines[1].inject(agent.member, hostile.tobytes(), agent.limits)
 
 
-def test_a_call_that_is_not_allowed_is_one_of_its_outcomes_and_the_others_begin() -> None:
+def test_a_forbidden_call_throws_and_the_other_calls_start() -> None:
     caught = "try {" + ALL + '} catch (AccessException e) { print(e.source() + ": " + e.message()); }'
     work = next(i for i, m in enumerate(program(caught).core.methods) if m.name == "work")
 

@@ -43,7 +43,7 @@ coordinator Boss {
 """
 
 
-def test_what_is_beside_an_object_is_no_field_of_its_class() -> None:
+def test_other_exceptions_of_an_object_are_not_shown_as_fields() -> None:
     joined = JoinedHosts(compile_text(OWN), 1)
     joined.run(until=5.0)
     shown = dict(view(joined.boss[1].block, joined.program).threads[0].frames[0].locals)
@@ -53,7 +53,7 @@ def test_what_is_beside_an_object_is_no_field_of_its_class() -> None:
     assert joined.printed == ["r0.boom() also failed: Boom {2}", "2"]
 
 
-def test_a_report_has_every_line_once() -> None:
+def test_a_report_has_each_line_once() -> None:
     joined = JoinedHosts(compile_text(THROWING), 1)
     joined.run()
     assert joined.places[0].endings[0].report.splitlines() == [

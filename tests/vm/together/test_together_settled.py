@@ -1,4 +1,4 @@
-"""Results that are there before their `together` is over: kept in tickets without a call, which travel."""
+"""Results that exist before the end of their `together`: tickets without a call, which migrate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.vm.inspection.block_view import view
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 
-#: `r[0].text()` is made what an offer has given in place: the string in `made`.
+#: `r[0].text()` is replaced by the result of an offer that ran in place: the string in `made`.
 PLACED = """
 resource Post {
   init(string[] arg) { }
@@ -42,7 +42,7 @@ coordinator Boss {
 
 @cache
 def placed() -> Program:
-    """The program with its first `begin` made a `settle`."""
+    """The program with its first `begin` replaced by a `settle`."""
     made = compile_text(PLACED)
     quads = list(made.quads)
     pc = next(i for i, quad in enumerate(quads) if quad.op == BY_NAME["begin"].code)
@@ -57,7 +57,7 @@ def placed() -> Program:
     return program
 
 
-def test_what_is_settled_is_assigned_when_all_are_back() -> None:
+def test_an_immediate_result_is_assigned_after_all_calls_return() -> None:
     joined = JoinedHosts(placed(), 2)
     joined.run(until=0.5)
     shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
@@ -95,7 +95,7 @@ def travelled() -> bytes:
         (layout.TICKET_THROWN, None, "of its type"),
     ],
 )
-def test_a_result_without_a_call_is_nothing_else(word: int, changed: int | None, reason: str) -> None:
+def test_a_changed_ticket_without_a_call_is_refused(word: int, changed: int | None, reason: str) -> None:
     image = bytearray(travelled())
     block = Block(image, len(image) // 8, len(image) // 8)
     place = block.heap

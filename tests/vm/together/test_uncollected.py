@@ -1,4 +1,4 @@
-"""Blocks that leave without having been collected: what is left in them is sound, and they do not grow."""
+"""Blocks that migrate without a collection: their garbage is valid, and they do not grow."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
 from lfield.vm.memory import collector
 
-#: Methods that call one another, hop, throw and leave garbage behind, as the dice of L itself say.
+#: Methods that call one another, hop, throw and leave garbage, chosen by random numbers of the L program.
 WANDERER = """
 class Note { public int number; public Note next; public Note(int n, Note rest) { number = n; next = rest; } }
 resource Post {
@@ -60,8 +60,9 @@ coordinator Boss {
 
 
 def travelled(seed: int, packet: int) -> tuple[list[str], int, int, int]:
-    """The printed lines, the hops, those without a collection, and the largest block in bytes; blocks of
-    up to `packet` words are not collected.
+    """The output, the hops, the hops without a collection, and the largest block in bytes.
+
+    Blocks of up to `packet` words are not collected.
     """
     joined = JoinedHosts(compile_text(WANDERER.replace("SEED", str(seed))), 3)
     largest, left, same = 0, 0, 0
@@ -83,7 +84,7 @@ def travelled(seed: int, packet: int) -> tuple[list[str], int, int, int]:
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("first", range(0, 20, 5))
-def test_it_arrives_wherever_it_stood_and_whatever_it_has_left_behind(first: int) -> None:
+def test_an_uncollected_block_arrives_from_any_point_with_any_garbage(first: int) -> None:
     hops = uncollected = 0
     for seed in range(first, first + 5):
         printed, left, none, _ = travelled(seed, 0)
@@ -94,8 +95,8 @@ def test_it_arrives_wherever_it_stood_and_whatever_it_has_left_behind(first: int
     assert uncollected > hops // 10 > 2
 
 
-def test_a_small_one_that_has_nothing_new_is_as_large_as_it_came() -> None:
-    """So what it drags along is less than a packet."""
+def test_an_uncollected_block_carries_less_than_a_packet_of_garbage() -> None:
+    """A block without new objects arrives with the same size."""
     for seed in range(5):
         *_, least = travelled(seed, 0)
         *_, most = travelled(seed, collector.SMALL_BLOCK_WORDS)

@@ -65,7 +65,7 @@ def program(loops: str, boss: str, init: str) -> Program:
 
 
 class WagonHost(HostWorldStub):
-    """A host that keeps its log, and answers queries at once: with 5 N, or not while it is `silent`."""
+    """A host that stores its log, and answers queries immediately with 5 N, except while `silent`."""
 
     def __init__(self) -> None:
         super().__init__()

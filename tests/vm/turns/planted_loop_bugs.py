@@ -19,7 +19,7 @@ LoopBug = Callable[[Patch], None]
 
 
 def missed_ticks_are_queued(patch: Patch) -> None:
-    """A loop that was late begins at once, and again, until it has made up for its ticks."""
+    """A late loop repeats its body immediately until it has caught up with its ticks."""
     sleep = RunQueue.sleep_until
 
     def early(self: RunQueue, agent: Agent, thread: int, at: float, rank: int = 0) -> None:
@@ -44,12 +44,12 @@ def a_suppressed_body_commands_devices(patch: Patch) -> None:
 
 
 def the_running_command_is_not_cancelled(patch: Patch) -> None:
-    """A suppressed body is left in its device instruction."""
+    """The device instruction of a suppressed body is not cancelled."""
     patch.setattr(Cancellation, "suppress", lambda self, agent, thread, reason: None)
 
 
 def suppression_outlives_the_tick(patch: Patch) -> None:
-    """A loop that was suppressed once commands nothing any more."""
+    """A loop that was suppressed once can no longer command devices."""
     patch.setattr(ResourceLoops, "end_tick", lambda self, thread: None)
 
 

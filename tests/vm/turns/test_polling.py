@@ -22,7 +22,7 @@ def started(text: str) -> tuple[Machine, GoldenWorld, ManualClock]:
 
 
 def turns_until_quiet(machine: Machine, clock: ManualClock) -> int:
-    """How often the machine has to be run until no event is pending."""
+    """The number of runs of the machine until no event is pending."""
     for turn in range(1000):
         pause = machine.run()
         if pause is None:
@@ -88,7 +88,7 @@ resource R { int n; init(string[] a) { while (n < 200) { n = n + 1; yield(); } p
     start = clock.now
     run_until_idle(machine, clock)
     assert desk.output == ["200"]
-    assert clock.now == start, "a loop that works is not slowed down by its yields"
+    assert clock.now == start, "a working loop is slowed down by its yields"
 
 
 def test_a_loop_that_reads_the_clock_continues() -> None:

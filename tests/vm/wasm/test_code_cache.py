@@ -61,7 +61,7 @@ def other_user() -> Iterator[None]:
 
 
 def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on code must be found in the cache."""
+    """Require that code is found in the cache."""
 
     def refuse(*_: object) -> None:
         raise AssertionError("it was compiled again")
@@ -137,7 +137,7 @@ def test_without_a_home_everything_is_compiled(
     monkeypatch.chdir(working)
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", home)
-    monkeypatch.setattr(os, "getuid", lambda: 54321)  # no user of this computer
+    monkeypatch.setattr(os, "getuid", lambda: 54321)  # not a user of this computer
     assert code_folder() is None
     assert made([])
     assert list(working.iterdir()) == []
@@ -210,7 +210,7 @@ print(select_engine("auto", print)(program, float).__class__.__module__)
 
 @pytest.mark.process
 def test_an_unsupported_processor_selects_the_reference_engine(tmp_path: Path) -> None:
-    """The wheel for all platforms installs anywhere, and refuses only when it is loaded."""
+    """The wheel for all platforms installs anywhere, and fails only when it is loaded."""
     pytest.importorskip("wasmtime", reason=NEEDED)
     done = _elsewhere(tmp_path, "riscv64")
     assert done.stdout.splitlines() == [

@@ -176,7 +176,7 @@ ROOM = STACK - OTHERS
         ({0: 1000}, {0: [0]}, ROOM // 1000 - 1),
         ({0: ROOM // 2, 1: 1000}, {0: [1], 1: [1]}, ROOM // 2 // 1000 - 1),
         ({0: ROOM // 2, 1: 1000, 2: ROOM // 4}, {0: [1], 1: [1, 2], 2: []}, ROOM // 4 // 1000 - 1),
-        # Of two functions before it only one is in a chain; one between two cycles counts like them.
+        # One of two functions before a cycle is in a chain; one between two cycles counts like them.
         ({0: ROOM // 2, 1: ROOM // 2, 2: 1000}, {0: [2], 1: [2], 2: [2]}, ROOM // 2 // 1000 - 1),
         ({0: 10, 1: 1000, 2: 10}, {0: [0, 1], 1: [2], 2: [2]}, ROOM // 1000 - 1),
         ({0: 10, 1: 1000}, {0: [1], 1: [0]}, ROOM // 1000 - 1),

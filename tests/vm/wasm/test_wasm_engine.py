@@ -1,4 +1,4 @@
-"""Properties of the engine itself: where it hands over, its behaviour at limits, and after a bug in it."""
+"""Properties of the engine: its transitions to the reference engine, its limits, and its failures."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ def test_a_trap_of_webassembly_is_a_bug_that_ends_only_the_agent(monkeypatch: py
 
 
 def test_a_loop_with_two_entries_is_left_to_the_reference_engine() -> None:
-    """The compiler makes no such program, and the verifier accepts it."""
+    """The verifier accepts such a program, although the compiler does not generate it."""
     core = COUNTING.core
     method = next(m for m in core.methods if m.name == "init")
     quads = list(COUNTING.quads)

@@ -1,5 +1,4 @@
-"""Programs in Python, AI assistants and robots with services: start, portal calls and stop with the keys of
-persons."""
+"""Python programs, AI assistants, robots with services: start, portal calls and stop with personal keys."""
 
 from __future__ import annotations
 
@@ -88,9 +87,9 @@ def test_a_client_without_rights_is_refused_and_the_mission_continues(active, lf
 
 @pytest.fixture
 def assistant(lfield, alone):
-    """`assistant(*words)(*calls)`: by the package of clients, the results of tools of `lfield mcp`.
+    """`assistant(*words)(*calls)`: the results of tools of `lfield mcp`, called with the client package.
 
-    With `last` the session ends when that has returned, while a portal runs.
+    With `last` the session ends after that call, while a portal runs.
     """
     from mcp.client.session import ClientSession
     from mcp.client.stdio import StdioServerParameters, stdio_client
@@ -159,7 +158,7 @@ def test_rights_and_the_access_file_limit_an_assistant(active, assistant, lfield
         ("events", {"kinds": ["logged"]}),
         last=lambda: log.wait_for(r"post.hold\(\) called by assistant of person operator$"),
     )
-    # The end of the session cancels what still runs.
+    # The end of the session cancels the running portal call.
     log.wait_for(r"post.hold\(\) called by assistant of person operator ended: CancelledException")
     assert started["started"] is True
     assert counted == (False, {"value": 2})

@@ -1,6 +1,4 @@
-"""The hold of a vote without a result and an operator's pause, with real processes: neither ends
-the other.
-"""
+"""The hold of a vote without a result and an operator's pause, with real processes: they are independent."""
 
 from __future__ import annotations
 
@@ -54,7 +52,7 @@ def test_a_resume_does_not_end_the_hold_and_the_end_of_the_hold_no_pause(lfield,
 
     assert vote_of_alpha(second).outcome == "open"
     assert "held" in reason()
-    # A restart of the service forgets neither.
+    # Both survive a restart of the service.
     team.kill("alpha")
     team.up("alpha")
     here("pause", "first.dL", status=0)

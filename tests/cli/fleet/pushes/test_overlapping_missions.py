@@ -1,4 +1,4 @@
-"""Missions that share a robot: the previous bundles of their robots differ, and a rollback names commands."""
+"""Missions with a common robot: the previous bundles of their robots differ; a rollback names commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Services, their missions and the desk in a Zenoh fabric, whose router dies."""
+"""Services, their missions and the desk in a Zenoh fabric, whose router fails."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_bundle_is_pushed_and_started_over_a_restarted_router(lfield, robots, 
         hosts |= {each for each in command_lines() if b"lfield\0up\0" in each}
         assert time.monotonic() < end, began.said
         if began.popen.poll():
-            # The services link to the router again on their own.
+            # The services reconnect to the router automatically.
             began = lfield.start("start", "--json")
         time.sleep(0.05)
     team.services["bravo"].wait_for("^visit 1$")

@@ -14,11 +14,11 @@ pytestmark = pytest.mark.process
 
 
 def test_a_push_waits_for_a_service_that_restarts(lfield, here, robots, monkeypatch) -> None:
-    """One that has its bundle already; before that, one that does not listen counts as off."""
+    """A service with the bundle is waited for; one without the bundle that does not listen counts as off."""
     team = robots("alpha", "bravo")
     team.up()
     team.mission()
-    # For any start time of a process here.
+    # Longer than any start of a process in this test.
     monkeypatch.setattr(service_link, "RESTART_TIME", 60.0)
     monkeypatch.setattr(push, "FIRST_CONTACT", 60.0)
     restart = threading.Timer(1.0, lambda: team.up("bravo"))

@@ -1,4 +1,4 @@
-"""Several desks that send bundles to the same robots at once."""
+"""Several desks that send bundles to the same robots at the same time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def test_uploads_of_several_operators_do_not_remove_each_other(lfield, here, rob
     team = robots("alpha", "bravo")
     team.up()
     for number in range(4):
-        # No piece of one is a piece of another.
+        # The bundles have no common pieces.
         lines = "".join(f'write("{number}{n:07d} {n**7 * (number + 1):030d}");\n' for n in range(800))
         lfield.mission(program().replace(PADDING, lines), TEAM, name=f"m{number}")
         here("build", f"m{number}.dL", "-o", f"m{number}.lfm", status=0)

@@ -1,4 +1,4 @@
-"""`lfield start` and `status` where hosts run and no coordinator does."""
+"""`lfield start` and `status` with running hosts and no running coordinator."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_start_with_a_parked_coordinator_reports_idle_and_the_remedy(lfield, h
     old = told(here("push", "mission.dL", "--json"))["bundle"]
     here("start", status=0)
     here("stop", status=0)
-    # No vote activates another bundle now. A state of the service that was restored from a backup does.
+    # No vote activates another bundle, but a service state that was restored from a backup does.
     team.mission(text="call")
     new = told(here("push", "mission.dL", "--stage", "--json"))["bundle"]
     for host in team.hosts:
@@ -50,5 +50,5 @@ def test_a_start_with_a_parked_coordinator_reports_idle_and_the_remedy(lfield, h
 
 
 def encoded(digest: str) -> str:
-    """A digest as the state file has it."""
+    """A digest in the form of the state file."""
     return base64.b64encode(bytes.fromhex(digest)).decode()

@@ -23,7 +23,7 @@ def test_a_robot_outside_the_mission_is_ignored_by_start_status_and_rollback(lfi
     assert (began.status, told(began)["started"]) == (0, True)
     assert told(here("status", "--json"))["carol"]["run"]["phase"] == "stopped"
     here("stop", "--discard", status=0)
-    # To leave it out makes no difference.
+    # Its omission makes no difference.
     began = here("start", "--without", "carol", "--json")
     assert (began.status, told(began)["started"]) == (0, True)
     here("stop", "--discard", status=0)
@@ -33,7 +33,7 @@ def test_a_robot_outside_the_mission_is_ignored_by_start_status_and_rollback(lfi
     back = told(here("rollback", "--json"))
     assert (back["outcome"], back["bundle"]) == ("activated", first["bundle"])
 
-    # Nor does it matter that it is off.
+    # Its absence makes no difference either.
     team.kill("carol")
     here("start", status=0)
     here("stop", "--without", "carol", "--discard", status=0)

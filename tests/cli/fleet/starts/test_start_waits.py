@@ -1,4 +1,4 @@
-"""`lfield start` and `lfield status` where the mission's host does not come up."""
+"""`lfield start` and `lfield status` if the mission's host does not start."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_start_reports_why_a_host_ends_repeatedly(lfield, here, robots) -> Non
     began = here("start", "--json")
     assert (began.status, told(began)["started"]) == (1, False)
     assert "/dev/ttyNONE" in told(began)["waits"]["alpha"]
-    # At any moment the reason is shown: also while the next attempt starts.
+    # The reason is shown at any time, also while the next attempt starts.
     end = time.monotonic() + 3.0
     while time.monotonic() < end:
         assert "/dev/ttyNONE" in told(here("status", "--json"))["alpha"]["run"]["reason"]

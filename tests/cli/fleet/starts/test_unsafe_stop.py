@@ -1,4 +1,4 @@
-"""A stop of a robot whose host is killed: its vehicles may not be at rest, and a person has to know it."""
+"""A stop of a robot whose host is killed: its vehicles may not be at rest, which is reported."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_a_host_killed_during_a_stop_is_reported_and_nothing_is_discarded(lfield
     here("push", "mission.dL", status=0)
     here("start", status=0)
     pid = team.state("bravo")["run"]["pid"]
-    # It cannot answer the order.
+    # The host cannot answer the order.
     os.kill(pid, signal.SIGSTOP)
     stopping = lfield.start("stop", "--discard", "--json")
     team.services["bravo"].wait_for("^stop requested")
@@ -30,7 +30,7 @@ def test_a_host_killed_during_a_stop_is_reported_and_nothing_is_discarded(lfield
     assert ("killed by signal 9" in found["bravo"]["trouble"], found["bravo"]["checked"]) == (True, "")
     assert (found["alpha"]["trouble"], found["alpha"]["discarded"]) == ("", [])
     assert told(here("status", "bravo", "--json"))["bravo"]["refusal"]
-    # An operator who has read it repeats the command, which prints the acknowledgement.
+    # The operator repeats the command, which prints the acknowledgement.
     again = here("stop", "--discard", "--json", status=0)
     found = told(again)
     assert (found["bravo"]["trouble"], found["bravo"]["checked"]) == ("", "killed by signal 9")

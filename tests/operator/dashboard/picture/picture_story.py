@@ -11,7 +11,7 @@ from lfield.wire.events import MigrationArrived, MigrationConfirmed, MigrationSt
 
 
 class Story:
-    """A picture, and both hosts that send it events; their monotonic clocks differ from ours."""
+    """A picture, and both hosts that send events to it, with monotonic clocks other than the test's."""
 
     def __init__(self, frames: Frames | None = None) -> None:
         self.picture = TeamView(inventory(frames))

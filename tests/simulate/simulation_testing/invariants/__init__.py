@@ -1,1 +1,1 @@
-"""Checks whether a run kept the promises, from observations of it."""
+"""Checks of the invariants of a run, from observations."""

@@ -1,4 +1,4 @@
-"""Whether two hosts that other hosts connect agree on which of them has a coordinator (mobility.md).
+"""Agreement of two hosts, connected by other hosts, on the holder of a coordinator (mobility.md).
 
 While a path of links connects two hosts for `AGREED_WITHIN` seconds, they do not both report one coordinator
 as in doubt, and a host that has sent one to the other knows whether that has it. A link stands when both of
@@ -24,7 +24,7 @@ _Case = tuple[str, str, HostLife, str, HostLife, int]
 
 
 class AgreementChecks:
-    """The doubts of a team."""
+    """The transfers in doubt of a team."""
 
     def __init__(self, breaches: Breaches, fleet: Callable[[], Fleet]) -> None:
         self._breaches, self._fleet = breaches, fleet
@@ -52,7 +52,7 @@ class AgreementChecks:
                 )
 
     def _both_in_doubt(self, rows: dict[str, list[CoordinatorState]]) -> Iterable[_Case]:
-        """An unreadable block counts as lost by its host."""
+        """True if both report doubt; the host of an unreadable block counts it as lost."""
         lives = self._fleet().lives
         doubts = {
             name: {row.agent for row in known if row.state == "IN DOUBT" and not row.unreadable}

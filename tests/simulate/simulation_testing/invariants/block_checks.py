@@ -1,11 +1,11 @@
 """Checks the output of programs about their blocks of concurrent calls (`scenarios/crew_programs.py`).
 
-A crew that is recovered elsewhere returns to a block: its later actions are lost. It must be informed of that
-before it continues.
+A crew that is recovered on another host returns to an earlier block: its later actions are lost. An exception
+must report that before the crew continues.
 
-No piece of work begins twice, none begins before its record is durable, none is reported before its result is
-durable, and none outlives its block: neither the end of all pieces, nor its time limit, nor the start that
-has begun it, once its own host fences that.
+No piece of work starts twice or before its record is durable, and none is reported before its result is
+durable. No piece outlives its block: the end of all pieces, the time limit, or its start of the crew, once
+the host of the piece has fenced that start.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from lfield.vm.memory.threads import threads
 from lfield.vm.pending_call import CallKey
 from simulation_testing.invariants.breaches import Breaches
 
-#: A piece of work may still run so many seconds after its limit: its process may have been suspended twice.
+#: Seconds for which a piece of work may run after its limit: its process may have been suspended twice.
 SLACK = 15.0
-#: And so many seconds after its host has fenced its start.
+#: Seconds for which a piece may run after its host has fenced its start.
 SOON = 1.0
 
 
 @dataclass(slots=True, eq=False)
 class _Piece:
-    """One piece of work: how often and when it began, for which start, and whether it ended."""
+    """One piece of work: its starts and their times, its start of the crew, and its end."""
 
     starts: int = 0
     at: float = 0.0
@@ -41,7 +41,7 @@ class _Piece:
 
 @dataclass(slots=True, eq=False)
 class _Block:
-    """One block: its time limit in seconds, its pieces, and how it was closed, '' before."""
+    """One block: its time limit in seconds, its pieces, and its outcome, '' before the end."""
 
     limit: float = 0.0
     how: str = ""
@@ -73,7 +73,7 @@ class BlockChecks:
         #: each agent since the end of the faults.
         self.started = self.restarts = 0
         self.closed: defaultdict[str, int] = defaultdict(int)
-        #: Up to which start, and since when, the journal of a host fences a crew.
+        #: The highest start of a crew that the journal of a host fences, and the time of the fence.
         self._barred: dict[tuple[str, str], tuple[int, float]] = {}
 
     def check_disks(self, kept: Iterable[tuple[str, Record]]) -> None:
@@ -110,7 +110,7 @@ class BlockChecks:
         return True
 
     def _observe_start(self, who: str, generation: int, number: int) -> bool:
-        """Record that a start is at this block; whether it is not older than another that has continued."""
+        """Record that a start is at this block; returns false if a later start has continued."""
         if generation > self._at[who]:
             if is_recovery(generation):
                 later = [key for key in self._blocks if key[0] == who and key[1] > number]

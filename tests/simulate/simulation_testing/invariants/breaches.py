@@ -1,4 +1,4 @@
-"""Violated promises, as they are found."""
+"""Violated promises."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Checks the output of programs about their calls: none begins twice, is skipped silently, or serves an old
-copy.
+"""Checks the output of programs: no call starts twice, is skipped silently, or serves an old copy.
 
-A coordinator keeps its *life* (a name and a drawn number) when it is recovered elsewhere. Then its calls are
-counted again from where it continues: its later actions are lost.
+A coordinator keeps its *life* (a name and a drawn number) when it is recovered on another host. Then its
+calls are counted again from that point: its later actions are lost.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from simulation_testing.invariants.breaches import Breaches
 
 @dataclass(slots=True, eq=False)
 class _Call:
-    """One call: how often it began, and what its caller reported about it."""
+    """One call: the number of its starts, and the report of its caller."""
 
     starts: int = 0
     outcome: str = ""
@@ -36,7 +35,7 @@ class CallChecks:
         self.started = self.restarts = 0
         #: The number of ended calls of each agent since the end of the faults.
         self.ended: defaultdict[str, int] = defaultdict(int)
-        #: Whether there were no faults for so long that every host must be reached.
+        #: True after a time without faults in which every host must be reached.
         self.settled = False
         #: The agents that have finished.
         self.over: set[str] = set()
@@ -88,13 +87,14 @@ class CallChecks:
     # --- output of callers ----------------------------------------------------------------------------
 
     def _is_old(self, agent: Agent, who: str) -> bool:
-        """Whether this copy has a successor; its output between calls has no effect elsewhere."""
+        """True if this copy has a successor; its output between calls has no effect on other hosts."""
         return agent.generation < self._at[who]
 
     def _observe_start(self, who: str, generation: int, number: int) -> None:
-        """A start continues with the call of this number. A recovery does not know later calls.
+        """Record that a start continues with this call. A recovery has no record of later calls.
 
-        Nor this one, if it stood before it: the exception was then about a call that only queries.
+        The recovery has no record of this call either if it continued before it: then the exception was about
+        a call that only queries.
         """
         if generation > self._at[who]:
             if is_recovery(generation):
@@ -115,7 +115,7 @@ class CallChecks:
             self._breaches.add("I4", (host,), f"call {number} of {who} could not be made, and it has begun")
 
     def _restarted(self, host: str, agent: Agent, who: str, number: int, text: str) -> None:
-        """A call that may have begun, or has not; later calls had not begun, and are dropped."""
+        """Record a call that may have started, or has not; later calls had not started, and are dropped."""
         self.restarts += 1
         self._observe_start(who, agent.generation, number)
         calls = self._calls[who]

@@ -1,4 +1,4 @@
-"""The observations of the simulated hardware: which owner commands it, and whether it moves without one."""
+"""Observations of the simulated hardware: its owners, and movement without an owner."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from lfield.simulate.hardware import DeviceCommand, Hardware
 from simulation_testing.invariants.breaches import Breaches
 
-#: A device may move for so many seconds after its last command: an action, or a silence and the way to rest.
+#: Seconds for which a device may move after its last command: an action, or the silence and the stop.
 MAX_MOVE_TIME = 6.0
 
 

@@ -1,6 +1,6 @@
 """I5: at every moment some disk holds a state from which a coordinator can continue, unless it ended.
 
-A disk counts with what it would give to a host that starts now.
+A disk counts with the records that a starting host would read.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from lfield.journal.records import CoordinatorRecord, Record
 
 
 def is_saved(page: Record) -> bool:
-    """Whether a record is enough to continue. A copy without a block has made no call, and starts again."""
+    """True if a record is enough to continue. A copy without a block has made no call, and starts again."""
     if not isinstance(page, CoordinatorRecord):
         return False
     if page.state == "EXITED":

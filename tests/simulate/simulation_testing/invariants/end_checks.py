@@ -1,11 +1,10 @@
-"""Whether a coordinator that has terminated is recovered, judged from disks, messages and recoveries.
+"""Checks that no terminated coordinator is recovered, from disks, messages and recoveries.
 
-A termination (`init` has returned, or thrown) is final once a majority of the members has it on disk. After
-that a recovery is a breach, and so is a host on which that start still runs. A recovery is also one if it was
-promised by a member that knew of the termination: from its own records, or from any message that it had
-received in the same life. An operator's recovery is judged by what the host that carries it out could know:
-by what it has received, and by what was final for a lease, since a host without a fresh lease carries none
-out.
+A termination (`init` has returned, or thrown) is final once a majority of the members has it on disk. A later
+recovery is a breach, and so is a host on which that start still runs. A recovery is also a breach if a member
+promised it that had the termination in its records, or in a message received in the same life. An operator's
+recovery is judged by the information of its host: received messages, and terminations that have been final
+for the time of a lease, because a host without a fresh lease executes no recovery.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class EndChecks:
         self, breaches: Breaches, fleet: Callable[[], Fleet], latest: Callable[[str, int], int]
     ) -> None:
         self._breaches, self._fleet, self._latest = breaches, fleet, latest
-        #: The newest start of each agent whose termination is final, and since when.
+        #: The newest start of each agent whose termination is final, and the time.
         self._final: dict[str, tuple[int, float]] = {}
         #: The newest terminated start of each agent of which each life has received a message.
         self._received: defaultdict[int, dict[str, int]] = defaultdict(dict)
@@ -70,7 +69,7 @@ class EndChecks:
         self._check_not_running(fleet)
 
     def _check_not_running(self, fleet: Fleet) -> None:
-        """A start whose termination is final runs on no host, not even where it terminated."""
+        """Check that a start whose termination is final runs on no host, including its own."""
         for name, life in fleet.lives.items():
             for agent in life.core.machine.agents.values():
                 final, since = self._final.get(agent.id, (0, fleet.now))
@@ -80,7 +79,7 @@ class EndChecks:
                     self._breaches.add("terminated", (name,), found)
 
     def on_host_start(self, life: HostLife) -> None:
-        """A host's process begins: observe its messages and recoveries."""
+        """Observe the messages and recoveries of a new process of a host."""
         core, team = life.core, life.core.coordinators
         ordered: list[RecoverRequest] = []
 

@@ -1,4 +1,4 @@
-"""Observations of a host without asking the tested code: arrivals in its machine, output of its programs.
+"""Observations of a host that are independent of the tested code: arrivals in its machine, program output.
 
 The methods of one life are wrapped where a shell or the machine calls them; this changes nothing.
 """
@@ -25,7 +25,7 @@ class HostObserver(Protocol):
         """A coordinator was started."""
 
     def on_transfer(self, life: HostLife, header: Transfer) -> None:
-        """A coordinator arrived over a link; whether it is admitted is decided now, or later."""
+        """A coordinator arrived over a link; its admission is decided now or later."""
 
     def on_admitted(self, life: HostLife, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine; `came` over a link, or else from the host's own disk."""

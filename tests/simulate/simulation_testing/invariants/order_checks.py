@@ -1,9 +1,9 @@
-"""Whether hosts keep the orders that they confirm: `lfield estop`, `pause`, `forget` (operations.md).
+"""Checks that hosts keep the orders that they confirm: `lfield estop`, `pause`, `forget` (operations.md).
 
 A host that has confirmed a stop commands no device until the stop is lifted, also after restarts; a paused
-host runs no agent either, until the mission is resumed. Every confirmed device stays at rest. A host without
-a journal loses both with its process, and so does one that has reported that its disk did not store the
-stop. A coordinator that was given up does not continue where that was confirmed.
+host also runs no agent until the mission is resumed. Every confirmed device stays at rest. A host without a
+journal loses both with its process, and so does a host that has reported a stop as not stored. A coordinator
+that was declared lost does not continue on hosts that have confirmed it.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class OrderChecks:
         self._breaches, self._now, self._keeps = breaches, now, keeps
         self._held: dict[tuple[Hold, str], _Held] = {}
         self._given_up: dict[tuple[str, str], int] = {}
-        #: Whether an operator recovers the coordinators of a lost host, or gives them up.
+        #: True if an operator recovers the coordinators of a lost host, false if they are declared lost.
         self.acted = False
-        #: How far the record of each device was read.
+        #: The read position in the record of each device.
         self._read: dict[str, int] = {}
 
     # --- answers of hosts -----------------------------------------------------------------------------
@@ -54,12 +54,12 @@ class OrderChecks:
         self._held = {key: held for key, held in self._held.items() if key[0] != hold}
 
     def on_given_up(self, agent: str, starts: Mapping[str, int]) -> None:
-        """These hosts have given up a coordinator, up to these starts."""
+        """These hosts have confirmed the loss of a coordinator, up to these starts."""
         for host, start in starts.items():
             self._given_up[host, agent] = max(start, self._given_up.get((host, agent), 0))
 
     def on_recovery_by_operator(self) -> None:
-        """A host is lost, and the operator recovers its coordinators from copies, or gives them up."""
+        """A host is lost, and the operator recovers its coordinators from copies, or declares them lost."""
         self.acted = True
 
     def is_given_up(self, agent: str, start: int) -> bool:

@@ -1,9 +1,9 @@
-"""Records what the programs of a scenario did and how its coordinators ended, as a digest.
+"""Records the actions of programs and the ends of coordinators in a scenario, as a digest.
 
 A refactoring keeps the digest: it covers no name of a module, class or message, no message size, no log line
 and no message of an exception. It covers, with virtual times: program output, starts, arrivals, departures
-and reservations of coordinators, exceptions that let them go on, commands of devices, orders of the operator,
-exit statuses, and where coordinators can run at the end. Events of different hosts at one time have no order.
+and reservations of coordinators, exceptions that resume them, commands of devices, orders of the operator,
+exit statuses, and the hosts of coordinators at the end. Simultaneous events of different hosts have no order.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ class OutcomeRecorder:
         self._add(life.core.name, "start", agent.id, agent.generation)
 
     def on_transfer(self, life: HostLife, header: Transfer) -> None:
-        """Not recorded: `on_admitted` counts."""
+        """Not recorded: `on_admitted` is recorded."""
 
     def on_admitted(self, life: HostLife, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine."""
         self._add(life.core.name, "admit", agent.id, agent.generation, agent.sequence, came)
 
     def on_restored(self, life: HostLife, agent: Agent) -> None:
-        """A coordinator was put into the machine as the host's own disk has it."""
+        """A coordinator was put into the machine from the host's own disk."""
         self._add(life.core.name, "restore", agent.id, agent.generation, agent.sequence)
 
     def on_resumed(self, life: HostLife, agent: Agent, kind: str) -> None:
@@ -89,7 +89,7 @@ class OutcomeRecorder:
         self._add(life.core.name, "reserve", agent.id, resource.id)
 
     def on_dropped(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
-        """A coordinator has given back what it had reserved."""
+        """A coordinator has released its reservations."""
         self._add("", "release", agent.id, *(resource.id for resource, _ in held))
 
     def on_reserved_call(

@@ -1,9 +1,9 @@
 """The holders of reservations, judged from the grants that the machine receives and the calls that begin.
 
-A number is durable on its host when it is granted, and is higher than all before it of that resource, also
-over restarts. Its holder is alone with the resource until it leaves its block, its start ends, or it was
-silent for a lease: it is granted to no other, no portal begins for another, and it does not receive a loss.
-No portal begins with a number that is not the last.
+A number is durable on its host when it is granted, and is higher than all earlier numbers of that resource,
+also across restarts. The holder has the resource exclusively until it leaves its block, its start ends, or it
+was silent for a lease: the resource is not granted to another, no portal starts for another, and the holder
+receives no loss. No portal starts with a number that is not the last.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from lfield.vm.memory.threads import threads
 from lfield.wire.reservation_messages import RenewReservation
 from simulation_testing.invariants.breaches import Breaches
 
-#: At least this part of a lease passes in true time, with any clocks of the hosts.
+#: The least share of a lease in true time, with any clocks of the hosts.
 MIN_LEASE_SHARE = 0.97
 
 
 @dataclass(slots=True)
 class _Resource:
-    """The last granted number of a resource, its holder, and until when the holder is surely alone."""
+    """The last granted number of a resource, its holder, and the time until which the holder is exclusive."""
 
     number: int = 0
     holder: tuple[str, int] = ("", 0)
@@ -53,14 +53,13 @@ class ReservationChecks:
         self._breaches, self._now, self._lease = breaches, now, lease
         self._newest_at, self._pages = newest_at, pages
         self._resources: defaultdict[str, _Resource] = defaultdict(_Resource)
-        #: The number of calls inside and outside of blocks; how rounds have ended; the number of rounds of
-        #: each agent since
-        #: the end of the faults.
+        #: The numbers of calls inside and outside of blocks; the outcomes of rounds; the number of rounds of
+        #: each agent since the end of the faults.
         self.started: Counter[str] = Counter()
         self.rounds: Counter[str] = Counter()
         self.closed: Counter[str] = Counter()
         self._started_for: set[tuple[str, int]] = set()
-        #: The start for which each round of a life has begun a call last, by the drawn number of the life.
+        #: The last start with a call in each round of a life, by the drawn number of the life.
         self._rounds_of: dict[tuple[float, float], tuple[str, int]] = {}
 
     def on_healed(self) -> None:
@@ -156,7 +155,7 @@ class ReservationChecks:
         agent, generation = known.holder
         if agent in ("", start[0]) or not known.since < at < known.until:
             return
-        # Its host has stopped a start that is fenced or has ended, and may grant the resource to others.
+        # The host has stopped a start that is fenced or has ended, and may grant the resource to others.
         if any(_is_over(page, agent, generation) for page in self._pages(known.host) or ()):
             return
         if generation >= self._newest_at(agent, at):
@@ -195,7 +194,7 @@ class ReservationChecks:
             self._breaches.add("stale", host, found)
 
     def _is_alone(self, life: HostLife, known: _Resource, other: tuple[str, int]) -> bool:
-        """Whether a resource of a host surely has a holder, which excludes others."""
+        """True if a resource of a host certainly has an exclusive holder."""
         (agent, generation), now = known.holder, self._now()
         if not agent or agent == other[0] or now >= known.until:
             return False
@@ -208,7 +207,7 @@ class ReservationChecks:
 
 
 def _is_over(page: Record, agent: str, generation: int) -> bool:
-    """Whether a host knows from its disk that a start acts no more."""
+    """True if a host has the end or fence of a start on its disk."""
     match page:
         case FenceRecord():
             return page.agent == agent and generation < page.generation

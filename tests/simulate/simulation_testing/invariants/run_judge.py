@@ -1,6 +1,6 @@
-"""Whether a run kept the promises, from observations of it.
+"""Checks the invariants of a run from observations.
 
-I1  of one coordinator at most one copy can run, at any real time
+I1  at most one copy of a coordinator can run, at any real time
 I2  no transfer is injected twice
 I3  no resource starts a portal for an older copy than the newest that it has served
 I4  no portal call is started twice, and none is skipped silently
@@ -40,15 +40,15 @@ from simulation_testing.invariants.result_checks import ResultChecks
 
 #: A coordinator and one start of it.
 Start = tuple[str, int]
-#: A host that reports a loss may not know a start that is younger than so many seconds.
+#: Age in seconds up to which a start may be unknown to a host that reports a loss.
 MIN_KNOWN_AGE = 3.0
-#: So many calls must end after the faults.
+#: The number of calls that must end after the faults.
 MIN_CALLS = 3
 
 
 @dataclass(slots=True, eq=False)
 class _StartRecord:
-    """One start of a coordinator: when it was first seen, and the hosts that may have it, run it, or had it.
+    """One start of a coordinator: its first observation, and its possible, present and former hosts.
 
     `copy` is the last one in a machine.
     """
@@ -57,7 +57,7 @@ class _StartRecord:
     holders: set[HostLife] = field(default_factory=set)
     running: set[HostLife] = field(default_factory=set)
     knew: set[HostLife] = field(default_factory=set)
-    #: The hosts that may have it, each with its memory; the one where it has arrived, until it is durable
+    #: The hosts that may have the start, each with its memory; the host of its arrival, until it is durable
     #: there.
     places: dict[str, int] = field(default_factory=dict)
     unsaved: str = ""
@@ -70,9 +70,9 @@ class _StartRecord:
 
 
 class RunJudge:
-    """Watches one team: `fleet` must be set before any event. `breaches` has the findings.
+    """Observes one team: `fleet` must be set before any event. `breaches` has the findings.
 
-    With journals no coordinator may be lost, whichever host crashes.
+    With journals no coordinator may be lost after any crashes.
     """
 
     def __init__(self) -> None:
@@ -92,7 +92,7 @@ class RunJudge:
         self._doubts = AgreementChecks(self.breaches, lambda: self.fleet)
         self.on_granted, self.on_dropped = self.reserved.on_granted, self.reserved.on_dropped
         self.on_reserved_call, self.on_renewed = self.reserved.on_reserved_call, self.reserved.on_renewed
-        #: The number of observations: a judge without observations finds nothing.
+        #: The number of observations, to detect a judge without observations.
         self.counts = dict.fromkeys(("injections", "starts", "recoveries"), 0)
         #: The time at which each recovery of each agent was the first to continue.
         self._gone_on: defaultdict[str, dict[int, float]] = defaultdict(dict)
@@ -100,7 +100,7 @@ class RunJudge:
         #: The starts whose number was used twice, by a host that had lost its disk.
         self._void: set[Start] = set()
         self._injected: set[tuple[str, int, int]] = set()
-        #: The starts that a life has found on its disk, and that have not moved on from there.
+        #: The starts that a life has found on its disk and that have not left since.
         self._kept: set[tuple[HostLife, Start]] = set()
         self._agents: defaultdict[HostLife, list[Agent]] = defaultdict(list)
         self._lives: dict[int, HostLife] = {}
@@ -148,7 +148,7 @@ class RunJudge:
         self._held(life, agent)
 
     def _again(self, life: HostLife, agent: Agent, newest: int) -> None:
-        """A repeated number: permitted if the start had made no call, or is inactive."""
+        """Check a repeated number: it is permitted if the start had made no call, or is inactive."""
         before = self._starts.get(start := (agent.id, agent.generation))
         begun = any(of(*start) for of in (self._calls.has_any, self._blocks.has_any, self.reserved.has_any))
         moved = before and any(other.core.name != life.core.name for other in before.knew)
@@ -230,7 +230,7 @@ class RunJudge:
         return self.fleet.options.keeps and name not in self.fleet.replaced
 
     def on_step(self, life: HostLife) -> None:
-        """The host is idle: which coordinators can run on it?"""
+        """Observe the coordinators that can run on an idle host."""
         if life in self._agents:
             self._check_host(life)
 
@@ -309,7 +309,7 @@ class RunJudge:
                 self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
 
     def _is_saved(self, name: str, page: Record) -> None:
-        """The sender need not keep it once it is durable at the receiver."""
+        """True if any disk has the start; the sender may delete it once it is durable at the receiver."""
         seen = (
             self._starts.get((page.agent, page.generation)) if isinstance(page, CoordinatorRecord) else None
         )
@@ -322,12 +322,12 @@ class RunJudge:
         return max((generation for _, generation in starts), default=0)
 
     def _in_doubt(self, start: Start) -> bool:
-        """Whether a host that may have had it has lost its disk since: then the truth is unknown."""
+        """True if a possible holder has lost its disk since: then the true state is unknown."""
         places = self._starts[start].places
         if any(self._lost(name, memory) for name, memory in places.items()):
             return True
         last = last_location(start, (page for disk in self.fleet.disks.values() for page in disk.pages()))
-        # Whether it was sent cannot be known.
+        # It is unknown whether the transfer was sent.
         return last is not None and last.state == "PREPARED" and self._lost(last.target, last.receiver_memory)
 
     def _lost(self, name: str, memory: int) -> bool:

@@ -1,16 +1,15 @@
 """Scenarios of crews: coordinators with concurrent calls to several resources, under time limits.
 
-As in every scenario the mission reports its actions (`invariants/block_checks.py` reads them): a resource
-writes when a piece of work begins, continues, is cancelled and ends; a crew when it opens a block, and how
-it has closed it. A piece of work returns a number that identifies it.
+As in every scenario the mission reports its actions (for `invariants/block_checks.py`): a resource prints the
+start, continuation, cancellation and end of a piece of work, a crew the start and outcome of a block. A piece
+of work returns a number that identifies it.
 """
 
 from __future__ import annotations
 
 #: The number of pieces of work of a block.
 PIECES = 3
-#: Seconds of a piece of work whose limit ends before it, of the longest in a block without a limit, and of
-#: most
+#: Seconds of a piece of work that exceeds its limit, of the longest in a block without a limit, and of most
 #: others.
 LONG, UNLIMITED, SHORT = 25.0, 8.0, 0.6
 
@@ -104,9 +103,8 @@ def story_program(block: str, how: str, first: str = "", methods: str = "") -> s
 
 
 PROGRAM = story_program(_TOGETHER, "came-back", "            int first = random(posts.length());\n")
-#: Racers begin calls of several resources and fetch them later, or the first result. They report like a
-#: crew, and
-#: `won` with the number of the piece where the first result counted.
+#: Racers start calls of several resources and fetch them later, or the first result. They report like a crew,
+#: and `won` with the number of the piece of the first result.
 _RUN = """
     private string run(Post[] posts, string life, int number, int[] got, real most) {
         future<int>[] pieces = {};

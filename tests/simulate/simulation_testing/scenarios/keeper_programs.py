@@ -1,8 +1,8 @@
-"""Scenarios of keepers: coordinators that reserve one or two resources, together or one after the other.
+"""Scenarios of keepers: coordinators that reserve one or two resources, together or in sequence.
 
-As in every scenario the mission reports its actions (`invariants/reservation_checks.py` reads them): a
-resource writes every call that begins, and whether it was made inside of a block that reserves it; a keeper
-how each of its rounds has ended.
+As in every scenario the mission reports its actions (for `invariants/reservation_checks.py`): a resource
+prints every call that starts, and whether the caller has reserved it; a keeper prints the outcome of each
+round.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Scenarios: a team, a mission and a forecast, all drawn from one seed, and small enough to run quickly.
 
-The mission reports its actions: resources write every call that begins and ends, coordinators its outcome,
-and the commands of devices identify their caller. So the tested code is not asked.
+The mission reports its actions: resources print the start and end of every call, coordinators its outcome,
+and the commands of devices identify their caller. So the checks do not depend on the tested code.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ coordinator Walker {
     }
 }
 """
-#: This makes it a coordinator that a majority may recover.
+#: The statement that permits recovery by a majority.
 RECOVERED = "heartbeatInterval(s2f(arg[4]));"
 _PROGRAMS: dict[bytes, Program] = {}
 #: The number of calls of a walker that never ends.
@@ -95,24 +95,21 @@ USUAL = [
 ]
 #: Least and greatest seconds between two faults of a kind, and the probability of each kind in a scenario.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
-#: The share of scenarios of hosts that keep journals; the others forget.
+#: The share of scenarios of hosts with journals.
 KEEP = 0.75
-#: So many of 32 times a walker calls where it has called before: mostly one that may be recovered, so that it
-#: continues where it is cut off.
+#: In so many of 32 cases a walker calls the same host again; the first number is for recoverable walkers, so
+#: that they continue on an isolated host.
 STAYS, STAYS_ON = 8, (26, 31, 31)
-#: Scenarios of coordinators that a majority may recover have no faults under which leases do not hold, and
-#: more
-#: time, in seconds.
+#: Scenarios of recoverable coordinators have no faults that invalidate leases, and more time, in seconds.
 NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
 #: Faults that make a host suspect a live one; the probability of each then.
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
-#: Seconds between two of them, and of such a scenario, where there are many.
+#: Seconds between two of these faults, and of such a scenario, if they are frequent.
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
-#: Approximate start of walkers and time between two of their calls, in seconds; after so many leases without
-#: a sign
-#: of life a recovery has begun.
+#: Approximate start of walkers and time between two of their calls, in seconds; the number of leases without
+#: a heartbeat after which a recovery has started.
 START_TIME, BETWEEN_CALLS, RECOVERS_WITHIN = 0.2, 0.08, 3.0
-#: Seconds without a sign of life until a coordinator is recovered; the length of a lease.
+#: Seconds without a heartbeat until a coordinator is recovered; the length of a lease.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
 #: Seconds until a silent holder loses its reservation, and until a waiting caller is denied.
 RESERVATIONS, RESERVED_WAITS = (1.0, 2.0, 4.0), (0.0, 0.5, 3.0, 10.0)
@@ -126,14 +123,14 @@ DISKS = (0.002, 0.002, 0.05)
 class Scenario:
     """All parameters of a run. Times are in seconds; `lost_after` is None for walkers without an end.
 
-    Walkers make so many `calls`, FOR_EVER for no end, each of which takes `stay`. Hosts keep `journals`, on
-    disks whose commits take `sync`, or forget. The forecast is drawn for a team of `cast` hosts and `weather`
-    seconds; `keep` has the numbers of its faults that are injected, None for all. `hosts` and `seconds` are
-    the rest when a scenario is shrunk. With an `interval` a majority of the hosts may recover walkers, under
-    leases of `lease`; then the last of them, `witnesses`, have no agents. A walker `stays` on its host in so
-    many of 32 cases. Its reservations last for `reservation` without contact, and others wait `reserved_wait`
-    for them. Code takes `slowness` times its usual processor time. Faults that are `aimed` are injected
-    beside the drawn ones.
+    Walkers make `calls` calls, FOR_EVER for no end, each of which takes `stay`. Hosts have `journals` on
+    disks with commits of `sync`, or none. The forecast is drawn for a team of `cast` hosts and `weather`
+    seconds; `keep` has the numbers of the injected faults, None for all. `hosts` and `seconds` are smaller in
+    a shrunk scenario. With an `interval` a majority of the hosts may recover walkers, under leases of
+    `lease`; then the last hosts, `witnesses`, have no agents. A walker `stays` on its host in so many of 32
+    cases. Its reservations last for `reservation` without contact, and others wait for them for
+    `reserved_wait`. Code takes `slowness` times its usual processor time. Faults that are `aimed` are
+    injected in addition to the drawn ones.
     """
 
     seed: int
@@ -273,17 +270,17 @@ def doubted(seed: int) -> Scenario:
 def parted(seed: int) -> Scenario:
     """A scenario of a small team in which the former holder of a coordinator does not meet its successor.
 
-    Only a host that has promised knows both, from its disk: it is restarted in between.
+    Only a host that has promised has information about both, on its disk: it is restarted in between.
     """
     mean = random.Random(f"parted {seed}").uniform(*OFTEN)
     return replace(doubted(seed), kind="parted", means={"swap": mean})
 
 
 def ending(seed: int) -> Scenario:
-    """A scenario of coordinators that terminate soon, while some hosts learn of that and others do not.
+    """A scenario of coordinators that terminate soon, which only some hosts are informed of.
 
-    A link is cut a moment before the first of them is likely to terminate, for the time of a recovery; at
-    times with all others of that host for the time of a promise.
+    A link is cut shortly before the likely termination of the first coordinator, for the time of a recovery;
+    sometimes all other links of that host are cut for the time of a promise.
     """
     story, dice = doubted(seed), random.Random(f"ending {seed}")
     hosts = dice.choice((3, 3, 4, 5))
@@ -332,7 +329,7 @@ def crew(seed: int) -> Scenario:
 
 
 def racer(seed: int) -> Scenario:
-    """A scenario of crews whose coordinators begin calls and fetch them later, or the first of them."""
+    """A scenario of crews whose coordinators start calls and fetch them later, or only the first result."""
     return replace(crew(seed), kind="racer")
 
 
@@ -360,7 +357,7 @@ PROGRAMS = {
     "keeper": keeper_programs.PROGRAM,
     "flown": flown_programs.PROGRAM,
 }
-#: Scenarios in which every round may have to wait for reservations of others.
+#: Scenarios in which every round may have to wait for other reservations.
 RESERVES = ("keeper", "flown")
 
 

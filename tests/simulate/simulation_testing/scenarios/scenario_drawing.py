@@ -31,19 +31,19 @@ from simulation_testing.scenarios.scenario import (
 
 #: The kinds of scenarios of hosts with journals.
 KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
-#: The share of crews, and the share of those that are keepers instead.
+#: The share of crews, and the share of crews that are replaced by keepers.
 CREWS, KEEPERS = 0.25, 0.5
-#: The share of the other crews that are racers instead.
+#: The share of the other crews that are replaced by racers.
 RACERS = 0.5
 #: The probability of these kinds, beside all others.
 RARER = {"split": 0.12, "crowd": 0.04, "flown": 0.1, "wrecked": 0.06}
 #: The share of scenarios with orders of an operator, also of those with devices; the share on slow computers.
 ORDERED, ORDERED_WITH_DEVICES, SLOW = 0.15, 0.35, 0.2
-#: The share of the usual scenarios with journals whose coordinators end soon instead.
+#: The share of the usual scenarios with journals in which the coordinators end soon.
 ENDING = 0.06
-#: The share of scenarios of hosts without a direct link instead; how long that lasts, in seconds.
+#: The share of scenarios of hosts without a direct link, and its duration in seconds.
 APART, APART_FOR = 0.05, (14.0, 20.0)
-#: How much slower all code is.
+#: The factor of the processor time of all code.
 SLOWNESS = (10.0, 50.0, 200.0)
 
 
@@ -64,7 +64,7 @@ def draw_scenario(seed: int) -> Scenario:
 
 
 def under_orders(story: Scenario, rng: random.Random) -> Scenario:
-    """The same with orders of an operator, with a device at least where the program has any."""
+    """The scenario with orders of an operator, and with at least one device if the program has devices."""
     orders = rng.choice((("estop",), ("pause",), ("estop", "pause")))
     means = {order: rng.uniform(*OFTEN) for order in orders}
     arms = story.arms if story.kind in PROGRAMS else max(1, story.arms)
@@ -131,10 +131,9 @@ def crowd(seed: int) -> Scenario:
 
 
 def apart(seed: int) -> Scenario:
-    """A scenario in which links break for long while coordinators hop over them, and other hosts connect the
-    two.
+    """A scenario in which links break for long while coordinators hop over them; others connect the ends.
 
-    At times the links of a team form only a chain, in any order.
+    Sometimes the links of a team form only a chain, in any order.
     """
     dice = random.Random(f"apart {seed}")
     story = dice.choice((plain, plain, fenced))(seed)
@@ -175,8 +174,7 @@ def flight(seed: int) -> Scenario:
 
 
 def wrecked(seed: int) -> Scenario:
-    """A scenario in which a host is permanently lost, and an operator recovers its coordinators or gives
-    them up."""
+    """A scenario of a permanently lost host: an operator recovers its coordinators or declares them lost."""
     story, dice = plain(seed), random.Random(f"wrecked {seed}")
     kinds = [kind for kind in DOUBTS if dice.random() < LIKELY]
     seconds = story.weather + LONGER

@@ -25,13 +25,11 @@ from simulation_testing.scenarios.scenario import RESERVES, Scenario
 CHECK_INTERVAL = 0.25
 #: The most events of one scenario: ten times those of the longest one.
 MAX_EVENTS = 200_000
-#: Seconds after the faults until all coordinators that can must have made progress, beside the time that a
-#: call
-#: waits: a Hello without an answer is given up after 10 s.
+#: Seconds after the faults within which all coordinators must make progress if they can, in addition to the
+#: wait of a call: a Hello without an answer is abandoned after 10 s.
 PROGRESS_TIMEOUT = 25.0
-#: Seconds until hosts without a link must reach each other when they need to, and for how long coordinators
-#: hop
-#: between them then.
+#: Seconds until hosts without a link must reach each other on demand, and seconds for which coordinators then
+#: hop between them.
 SETTLES, ROAMS = 12.0, 4.0
 
 
@@ -60,7 +58,7 @@ class RunVerdict:
 def run_scenario(
     story: Scenario, *, keep_log: bool = False, record: RecordingTarget | None = None
 ) -> RunVerdict:
-    """Run a scenario; it ends with the first breach, or when all that can have made progress."""
+    """Run a scenario until the first breach, or until all coordinators that can have made progress."""
     # A scenario leaves many reference cycles: young objects are collected at once afterwards.
     gc.disable()
     try:

@@ -16,7 +16,7 @@ MAX_TRIALS = 200
 
 
 def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
-    """The smallest scenario that was found with the same breach."""
+    """The smallest scenario with the same breach that was found."""
     name, best = found.breaches[0].name, found
     tries = most
     while tries > 0:
@@ -34,7 +34,7 @@ def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
 
 
 def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
-    """Scenarios that are a little smaller, the smallest first."""
+    """Slightly smaller scenarios, the smallest first."""
     story = verdict.story
     if verdict.seconds + 0.1 < story.seconds:
         yield replace(story, seconds=round(verdict.seconds + 0.1, 3))

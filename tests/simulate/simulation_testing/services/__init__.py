@@ -1,1 +1,1 @@
-"""Teams of services on simulated computers: desks push bundles, and a judge checks what the services do."""
+"""Teams of services on simulated computers: desks push bundles, and a judge checks the services."""

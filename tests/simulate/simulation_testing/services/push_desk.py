@@ -38,7 +38,7 @@ def _upload_of(robots: int, version: int) -> Upload:
 class DeskStep:
     """One step of a desk: its time, its kind, and the version of the bundle.
 
-    After so many answers to a ballot the desk is killed, 0 for never.
+    The desk is killed after a number of answers to a ballot, 0 for never.
     """
 
     at: float
@@ -63,11 +63,11 @@ class SimulatedDesk:
             fleet.timeline.at(step.at, lambda step=step: self.perform(step))  # type: ignore[misc]
 
     def kill(self) -> None:
-        """Kill its present step."""
+        """Kill the current step."""
         self._process.die(-9)
 
     def perform(self, step: DeskStep) -> None:
-        """Start one step, beside others that have not ended."""
+        """Start one step in parallel to unfinished ones."""
         if self._process.loop.dead:
             self._process = self._computer.start()
         self._fleet.note(self.name, f"{step.action} {step.version}")

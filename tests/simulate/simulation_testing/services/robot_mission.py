@@ -22,7 +22,7 @@ from simulation_testing.services.service_disk import ProcessKilled
 
 #: Seconds between two steps of a host, until it runs, and of a landing.
 STEP, STARTUP, LANDING = (0.2, 2.0), (0.1, 1.5), (0.5, 5.0)
-#: Seconds until a request arrives at the host, and again for its answer. One in so many answers is lost.
+#: Seconds of transit of a request, and of its answer. One of this many answers is lost.
 LATENCY, LOST_ANSWERS = (0.005, 0.4), 30
 #: Seconds between two checks whether a process has ended.
 POLL = 0.25
@@ -51,9 +51,8 @@ class RobotMission:
         self.on_act, self.on_start, self.on_release = on_act, on_start, on_release
         self.rng = random.Random(computer.machine.rng.random())
         self.is_airborne = False
-        #: The journal: coordinators that have not ended as far as this robot knows, with their places, and
-        #: whether an operator
-        #: has paused the mission.
+        #: The journal: the unfinished coordinators known to this robot, with their places, and whether an
+        #: operator has paused the mission.
         self.unfinished: dict[str, str] = {}
         self.is_paused = False
         #: The ballot that holds the host, b"" for none. It is in the memory of its process.
@@ -61,7 +60,7 @@ class RobotMission:
         #: The bundle that was started last, until its mission has ended or was discarded, or every robot has
         #: voted that no coordinator of it exists.
         self.open_run = b""
-        #: Hosts that run, by process number; how others have ended.
+        #: Running hosts by process number; the ends of the other hosts.
         self.hosts: dict[int, ModelHost] = {}
         self.ends: dict[int, int] = {}
         self.boots = self._coordinators = 0

@@ -31,7 +31,7 @@ def _pieces_of(data: bytes) -> tuple[tuple[Piece, bytes], ...]:
 
 
 class ProcessKilled(BaseException):
-    """The process ends here: nothing of it continues."""
+    """The process ends here, with all its tasks."""
 
 
 def kill_here(process: SimulatedProcess) -> None:
@@ -59,7 +59,7 @@ class ServiceDisk:
         self.kills_host = False
 
     def plan_kill(self, point: KillPoint, saves: int = 0) -> None:
-        """Kill the service before or after a save, after so many others; "" for never."""
+        """Kill the service before or after a save, after a number of earlier saves; "" for never."""
         self._kill_point, self._saves_before_kill = point, saves
 
     def next_point(self) -> KillPoint:

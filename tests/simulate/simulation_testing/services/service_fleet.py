@@ -111,7 +111,7 @@ class ServiceFleet:
         self.timeline.after(0.0, event)
 
     def run(self, seconds: float) -> None:
-        """Run for that many seconds, or until a breach."""
+        """Run for `seconds`, or until a breach."""
         with closing_generators():
             self.timeline.run(seconds, self._pause_at_breach)
 
