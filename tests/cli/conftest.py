@@ -293,8 +293,8 @@ def lfield(tmp_path: Path, ports: Ports) -> Iterator[Lfield]:
 def here(
     lfield: Lfield, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Callable[..., Said]:
-    """`here(*words)`: run a command in this process, in the folder of `lfield`; checks a given status. Bundles
-    are built in this process too.
+    """`here(*words)`: run a command in this process, in the folder of `lfield`; checks a given status.
+    Bundles are built in this process too.
     """
     monkeypatch.chdir(lfield.folder)
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
