@@ -85,8 +85,8 @@ class LinkManager:
         )
         self.standbys = StandbyLinks(self, transport, team, self._admission)
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
-        self.on_arrival = owner.on_transfer
-        self.on_oversize = owner.on_oversize
+        self.on_arrival = lambda *transfer: owner.on_transfer(*transfer)
+        self.on_oversize = lambda *transfer: owner.on_oversize(*transfer)
         self._log_limiter, self.refusals = (
             RateLimitedLog(owner.note, self.now),
             RefusedHosts(hosts, lambda *refusal: owner.on_link_refused(*refusal)),

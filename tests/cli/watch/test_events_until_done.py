@@ -80,6 +80,8 @@ def test_a_killed_host_that_stays_away_makes_the_end_unknown(lfield):
         host: lfield.start("up", "--deploy", mission, *maps, "--sim", "--host", host)
         for host in ("alpha", "beta")
     }
+    for host in hosts.values():
+        host.wait_for("listening on")
     watcher = lfield.start("events", "--deploy", mission, *maps, "--until-done", "--lost-after", "2")
     watcher.wait_for("hopped")
     for host in hosts.values():
