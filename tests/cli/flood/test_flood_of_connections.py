@@ -27,7 +27,7 @@ def test_idle_connections_do_not_block_members_or_a_stop(lfield, alone, keep):
     team = ("--deploy", deployment, *maps)
     up = ("up", *team, "--sim", "--first-start", "--host")
     alpha = lfield.start(*up, "alpha", env=alone)
-    alpha.wait_for("flies")
+    alpha.wait_for("alpha listening")
     words = [
         sys.executable,
         str(Path(__file__).with_name("connecting.py")),
@@ -49,6 +49,7 @@ def test_idle_connections_do_not_block_members_or_a_stop(lfield, alone, keep):
         lfield.start(*up, "charlie", env=alone)
         alpha.wait_for("greeted")
         linked = time.monotonic() - began
+        alpha.wait_for("flies")
         began = time.monotonic()
         pressed = lfield("estop", *team, "--no-wait", env=alone)
         took = time.monotonic() - began
