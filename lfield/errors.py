@@ -98,7 +98,7 @@ class BindingError(LfieldError):
 
 
 class DevicesError(BindingError):
-    """The bindings are valid, and devices cannot be opened: no library, port or answer.
+    """The bindings are valid, but devices cannot be opened: no library, no port or no answer.
 
     `not_set_up` are the `problems` that `lfield setup` solves.
     """
@@ -375,7 +375,7 @@ class DoubleError(MissionTestError):
 
 
 class NoMissionRunning(LfieldError):
-    """No mission is running that the command could be about."""
+    """No running mission matches the command."""
 
     exit_status = exit_status.UNAVAILABLE
     code, remedy = "no-mission-running", "start it with `lfield up`, or name the mission or the run"
@@ -419,7 +419,7 @@ class CallOutcomeUnknown(PortalCallError):
 
 
 class CoordinatorAlive(LfieldError):
-    """The coordinator is alive, or may be, and the command needs it to be gone."""
+    """The coordinator is alive or may be alive, but the command requires that it has ended."""
 
     exit_status = exit_status.UNAVAILABLE
     code, remedy = "coordinator-alive", "wait for it, or stop its host first"

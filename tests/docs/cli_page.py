@@ -38,7 +38,8 @@ def page() -> str:
 
 def parser(name: str) -> argparse.ArgumentParser:
     """The parser of one command, as `lfield` makes it."""
-    made = argparse.ArgumentParser(prog=f"lfield {name}", description=COMMANDS[name].capitalize() + ".")
+    purpose = COMMANDS[name]
+    made = argparse.ArgumentParser(prog=f"lfield {name}", description=f"{purpose[0].upper()}{purpose[1:]}.")
     import_module(MODULES[name]).add_arguments(made)
     return made
 

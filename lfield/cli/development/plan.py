@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--kind", choices=KINDS, default="", help="kind of vehicle that flies or drives the plan"
     )
     check.add_argument(
-        "--firmware", choices=("ardupilot", "px4"), default="", help="software of its autopilot"
+        "--firmware", choices=("ardupilot", "px4"), default="", help="firmware of the autopilot"
     )
     check.add_argument(
         "--altitude",

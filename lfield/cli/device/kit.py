@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="do not ask for confirmation before the checks that move the device",
     )
     parser.add_argument(
-        "--json", action="store_true", help="print each finding as a JSON object on a line of its own"
+        "--json", action="store_true", help="print each finding as a JSON object on a separate line"
     )
 
 

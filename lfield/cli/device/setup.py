@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
     add_devices(parser)
-    parser.add_argument("--sim", action="store_true", help="try it on simulated devices")
+    parser.add_argument("--sim", action="store_true", help="use simulated devices")
     parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
     parser.add_argument(
         "--apply",

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replace-keys",
         action="store_true",
-        help="take robots over that have keys of another authority or of another host",
+        help="also provision robots with keys of another authority or of another host; replaces them",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per step")
 

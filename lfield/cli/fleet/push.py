@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         type=real_above_0(1e6, "seconds"),
         default=PATIENCE,
-        help="give up on a host that confirms nothing for this long (default: 60)",
+        help="seconds after which a host that has confirmed nothing counts as failed (default: 60)",
     )
     add_desk(parser)
 

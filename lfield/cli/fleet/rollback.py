@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--lost",
         metavar="HOST",
         default="",
-        help="instead: abort an undecided activation; HOST, whose vote is unknown, is lost for good",
+        help="instead: abort an undecided activation; HOST, whose vote is unknown, will not return",
     )
     add_desk(parser)
 

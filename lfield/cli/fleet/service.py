@@ -37,13 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check",
         action="store_true",
-        help="only print what forbids an update of lfield: unfinished coordinators, an open vote",
+        help="only print the reasons against an update of lfield: unfinished coordinators, an open vote",
     )
     parser.add_argument(
         "--up-options",
         metavar="OPTIONS",
         default=os.environ.get("LFIELD_UP_OPTIONS", ""),
-        help="further options of 'lfield up' for the mission's host, in one text: --up-options='--sim' "
+        help="further options of 'lfield up' for the mission's host, as one argument: --up-options='--sim' "
         f"(default: $LFIELD_UP_OPTIONS; always: {' '.join(UP_OPTIONS)})",
     )
 
