@@ -229,7 +229,7 @@ MOVING = [
 async def test_raw_motion_commands_are_refused_before_sending(b, fc, /):
     for number in map(int, MOVING):
         sent = len(b.sent)
-        with pytest.raises(DeviceError, match="use its instruction"):
+        with pytest.raises(DeviceError, match="use an instruction"):
             await fc.execute("command", [number, []])
         assert len(b.sent) == sent
         assert number in REFUSED
