@@ -101,7 +101,7 @@ class Instruction(Struct, frozen=True):
     @property
     def is_query(self) -> bool:
         """Whether telemetry answers the instruction, which is then never sent to the device."""
-        return self.effect == "query" and not self.blocking
+        return self.only_asks and not self.blocking
 
 
 class Quantity(Struct, frozen=True):

@@ -22,7 +22,7 @@ def call_kind(instruction: Instruction) -> CallKind:
     """The treatment of an instruction by the guard: a query moves no device; a setpoint remains in effect
     after its call has returned.
     """
-    if instruction.effect == "query" or instruction.name == RELEASE.name:
+    if instruction.only_asks or instruction.name == RELEASE.name:
         return "ask"
     return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
 
