@@ -109,7 +109,8 @@ class Maintenance:
         """Sends a COMMAND_LONG with up to seven parameters; returns its MAV_RESULT."""
         if number in REFUSED:
             raise self._vehicle.error(
-                f"command {number} refused: it can move, arm or unprotect the vehicle; use an instruction"
+                f"command {number} refused: it can move or arm the vehicle, or disable a protection; "
+                "use an instruction"
             )
         if not 0 <= number <= 0xFFFF or len(parameters) > 7:
             raise self._vehicle.error("command requires a number from 0 to 65535 and at most 7 parameters")

@@ -134,7 +134,10 @@ class TeamFeed:
     def unreached(self) -> Mapping[str, str]:
         """The hosts whose stored events were not received completely, each with the reason."""
         missed = [host for host in self._names if not self._is_caught_up(host)]
-        return {self._names[host]: self._why.get(host, "it has not sent all events") for host in missed}
+        return {
+            self._names[host]: self._why.get(host, "the host has not sent all stored events")
+            for host in missed
+        }
 
     def drain_items(self, *, everything: bool = False) -> list[DatedEvent | FeedNotice]:
         """The items that are due now; with `everything` all."""

@@ -39,9 +39,8 @@ EXECUTES, PAUSE = 0.05, 1.5
 #: Bytes/s that each of five hosts sends over its links at rest, without leases and with leases.
 IDLE, AT_REST = 80.0, 560.0
 #: The traffic of an open `lfield watch` per vehicle: bytes of a batch of telemetry with its headers and of
-#: the
-#: answer of the desk, and least seconds between two batches. That makes 6.3 kB/s on a fast path, as measured
-#: (PARTS=idle of `make bench ONLY=radio`); on a slower one a batch waits as in `EventSubscription`.
+#: the answer of the desk, and the minimum seconds between two batches. That makes 6.3 kB/s on a fast path, as
+#: measured (PARTS=idle of `make bench ONLY=radio`); on a slower one a batch waits as in `EventSubscription`.
 BATCH, SEEN, EVERY = 500, 130, 0.1
 #: A batch that is not acknowledged is repeated after so many round trips, then after twice the time.
 RESENT = 2.0

@@ -168,7 +168,7 @@ def test_a_link_is_exchanged_for_a_cookie(gate, door, inside, known):
 )
 @pytest.mark.parametrize("order", ["{foreign}; {own}", "{own}; {foreign}", "{foreign};{own};{foreign}"])
 def test_cookies_of_other_programs_do_not_hide_the_session(gate, door, inside, foreign, order):
-    """A browser sends the cookies of every program on 127.0.0.1, whatever its port."""
+    """A browser sends the cookies of every program on 127.0.0.1, independently of its port."""
     cookies = order.format(foreign=foreign, own=entered(gate, door))
     start, _ = knock(gate, "/act", "POST", cookie=cookies, origin=OURS)
     assert start["status"] == 200

@@ -49,7 +49,7 @@ class Air:
 
     Events are `send`, `cut`, `mend` and the setters, in the order of time; the effects are the deliveries
     and losses that `advance` and `pop_lost` return. `next_event` says when to call `advance`. The n-th
-    packet of a direction has the same loss and jitter for the same seed, whatever other directions carry.
+    packet of a direction has the same loss and jitter for the same seed, independently of other directions.
     """
 
     def __init__(self, names: Sequence[str], seed: int) -> None:
