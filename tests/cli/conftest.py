@@ -29,6 +29,8 @@ ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0
 #: The environment variable that marks the processes of a test and their children.
 MARK = "LFIELD_TEST_RUN"
+#: The flag of an exiting process in /proc/PID/stat (include/linux/sched.h).
+PF_EXITING = 0x4
 
 
 class Process:
@@ -116,13 +118,22 @@ def run_of(pid: int, mark: str) -> bool:
     return state != "Z" and f"{MARK}={mark}".encode() in environment.split(b"\0")
 
 
+def is_exiting(pid: int) -> bool:
+    """Return true if a process has lost its environment, but may still hold files and locks."""
+    try:
+        state, *_, flags = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[:7]
+    except OSError:
+        return False
+    return state != "Z" and bool(int(flags) & PF_EXITING)
+
+
+def all_processes() -> list[int]:
+    return [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
+
+
 def processes_of(mark: str) -> list[int]:
     """The pids of all running processes of a run."""
-    return [
-        int(path.name)
-        for path in Path("/proc").iterdir()
-        if path.name.isdigit() and run_of(int(path.name), mark)
-    ]
+    return [pid for pid in all_processes() if run_of(pid, mark)]
 
 
 class Ports:
@@ -242,9 +253,9 @@ class Lfield:
         return self.running("lfield.guard.process")
 
     def all_ended(self) -> bool:
-        """Return true if all processes end within the time limit."""
+        """Return true if all processes end within the time limit and their files are closed."""
         end = time.monotonic() + PATIENCE
-        while self.left() and time.monotonic() < end:
+        while (self.left() or any(map(is_exiting, all_processes()))) and time.monotonic() < end:
             time.sleep(0.05)
         return not self.left()
 
