@@ -120,12 +120,6 @@ class LinkClosed(Struct, frozen=True):
     host: str
 
 
-class RecordsDurable(Struct, frozen=True):
-    """All records up to those of batch `number` are on disk."""
-
-    number: int
-
-
 class WriteFailed(Struct, frozen=True):
     """Writing the journal failed; the write is retried."""
 
@@ -133,7 +127,7 @@ class WriteFailed(Struct, frozen=True):
 
 
 #: The events that the core passes to parts.
-HostEvent = LinkOpened | LinkClosed | RecordsDurable | WriteFailed
+HostEvent = LinkOpened | LinkClosed | WriteFailed
 
 #: Handles a message; the first argument is the host that sent it.
 MessageHandler = Callable[[str, Any], None]

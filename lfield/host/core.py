@@ -20,7 +20,6 @@ from lfield.host.context import (
     LinkClosed,
     LinkOpened,
     Part,
-    RecordsDurable,
     WriteFailed,
 )
 from lfield.host.effects import WAKE_WAITERS, Effect, OpenLink
@@ -288,7 +287,7 @@ class HostCore:
 
     def on_durable(self, number: int) -> None:
         """All records up to those of that batch are on disk."""
-        self._publish(RecordsDurable(number))
+        self.coordinators.on_durable(number)
 
     def on_host_exited(self, host: str) -> None:
         """A host of this team has ended permanently, as reported by the process that started it."""

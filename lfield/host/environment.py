@@ -61,15 +61,13 @@ class HostEnvironment:
 
     def __init__(self, links: LinkManager, guards: DeviceGuards) -> None:
         self._links, self._guards = links, guards
+        #: The time of the last message from a host.
+        self.last_contact_at = links.last_contact_at
 
     @property
     def down_since(self) -> Mapping[str, float]:
         """The hosts without a link, each with the time since when."""
         return self._links.down_since
-
-    def last_contact_at(self, host: str) -> float | None:
-        """The time of the last message from a host."""
-        return self._links.last_contact_at(host)
 
     def round_trip(self, host: str) -> float | None:
         """The smoothed round-trip time of the link with a host, in seconds."""

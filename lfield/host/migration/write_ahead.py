@@ -7,7 +7,7 @@ coordinators do not wait. Lazy records are written together with the next record
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from msgspec import structs
 
@@ -61,7 +61,11 @@ class WriteAheadQueue:
         self._deleted: set[RecordKey] = set()
         #: The number of the batch that is being collected.
         self._number = 1
+        #: The number of the last batch on disk.
+        self.durable = 0
         self._blocked: dict[str, deque[tuple[int, Effect]]] = {}
+        #: Actions that wait for batches, in the order of the batches.
+        self._actions: deque[tuple[int, Callable[[], None]]] = deque()
         self._urgent = False
         #: The latest time for writing the lazy records, None without any; seconds on the host's clock.
         self.due: float | None = None
@@ -149,8 +153,18 @@ class WriteAheadQueue:
         self._urgent, self.due = False, None
         return number, pages, keys
 
+    def when_durable(self, batch: int, action: Callable[[], None]) -> None:
+        """Queue an action until the last added batch is on disk; `run_actions` calls it."""
+        self._actions.append((batch, action))
+
+    def run_actions(self) -> None:
+        """Call the actions that waited for batches that are on disk, in the order of `when_durable`."""
+        while self._actions and self._actions[0][0] <= self.durable:
+            self._actions.popleft()[1]()
+
     def on_durable(self, number: int) -> list[Effect]:
         """All batches up to this one are on disk: returns the effects that waited for them."""
+        self.durable = number
         ready: list[Effect] = []
         for agent, waiting in list(self._blocked.items()):
             while waiting and waiting[0][0] <= number:

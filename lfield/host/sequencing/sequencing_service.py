@@ -8,11 +8,11 @@ this host.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection
+from functools import partial
 from typing import Literal, NamedTuple, NoReturn
 
-from lfield.host.context import HostContext, LinkClosed, LinkOpened, Part, RecordsDurable
+from lfield.host.context import HostContext, LinkClosed, LinkOpened, Part
 from lfield.host.sequencing.startable_runs import StartableRuns, is_of_run
 from lfield.host.team.part_interfaces import CoordinatorOperations, LeaseRules
 from lfield.journal.records import SequenceRecord
@@ -57,13 +57,11 @@ class SequencingService(Part):
         }
         self.is_polled = bool(self._runs)
         self._waiting: dict[str, _Waiter] = {}
-        #: The batches with records that are not on disk yet, each with the coordinator and the log line.
-        self._unwritten: deque[tuple[int, str, LogLine]] = deque()
+        #: The batch with the last record of each coordinator.
+        self._batches: dict[str, int] = {}
         self._is_open, self._repeat_at = False, 0.0
         self.handles = {StopCoordinator: self._on_stop_order}
         self.observes = {LinkOpened: self._on_link_opened, LinkClosed: self._on_link_closed}
-        if self._runs:
-            self.observes[RecordsDurable] = self._on_durable
 
     @property
     def own_agents(self) -> Collection[str]:
@@ -109,10 +107,6 @@ class SequencingService(Part):
         """A host has ended permanently: it has no coordinator any more."""
         for runs in self._runs.values():
             runs.gate.on_states(host)
-
-    def _on_durable(self, event: RecordsDurable) -> None:
-        while self._unwritten and self._unwritten[0][0] <= event.number:
-            self._log(self._unwritten.popleft()[2])
 
     def on_tick(self, now: float) -> None:
         """Continue the coordinators whose wait is over, and repeat orders."""
@@ -237,10 +231,11 @@ class SequencingService(Part):
             self._log(line)
             return
         batch = self._team.write_ahead.add_record(page, self._clock.monotonic())
-        self._unwritten.append((batch, runs.agent, line))
+        self._batches[runs.agent] = batch
+        self._team.write_ahead.when_durable(batch, partial(self._log, line))
 
     def _is_written(self, name: str) -> bool:
-        return all(agent != name for _, agent, _ in self._unwritten)
+        return self._batches.get(name, 0) <= self._team.write_ahead.durable
 
     def _when_written(self, asking: Agent, member: TeamMember) -> bool | None:
         if self._is_written(member.id):

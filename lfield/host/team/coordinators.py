@@ -11,7 +11,7 @@ from functools import partial
 from typing import get_args
 
 from lfield.errors import BlockError
-from lfield.host.context import HostContext, LinkClosed, LinkOpened, Part, RecordsDurable, WriteFailed
+from lfield.host.context import HostContext, LinkClosed, LinkOpened, Part, WriteFailed
 from lfield.host.effects import WAKE_WAITERS, PersistRecords, WriteLog, WriteLogOnce
 from lfield.host.events.migration_events import HopStep, MigrationEvents
 from lfield.host.migration.effect_executor import Acknowledgements, EffectExecutor
@@ -101,7 +101,6 @@ class Coordinators(Part):
         self.observes = {
             LinkOpened: self._on_link_opened,
             LinkClosed: self._on_link_closed,
-            RecordsDurable: self._on_durable,
             WriteFailed: self._on_write_failed,
         }
 
@@ -154,13 +153,15 @@ class Coordinators(Part):
             self._refuse_if_not_durable(self._machine.agents[identity])
         self._executor.saving.clear()
 
-    def _on_durable(self, event: RecordsDurable) -> None:
+    def on_durable(self, number: int) -> None:
+        """All batches up to this one are on disk."""
         if self.write_trouble:
             self.log(log_messages.JOURNAL_WRITABLE.line())
-        for effect in self.write_ahead.on_durable(event.number):
+        for effect in self.write_ahead.on_durable(number):
             self._executor.execute(effect)
         # After the other updates: records that have waited until now are not on disk.
         self.write_trouble = ""
+        self.write_ahead.run_actions()
 
     # --- arrival and departure ------------------------------------------------------------------------
 

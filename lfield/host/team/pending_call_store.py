@@ -7,12 +7,12 @@ result; also when the start that began the call is over: terminated, fenced, or 
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Sequence
+from functools import partial
 
 from msgspec import structs
 
-from lfield.host.context import HostContext, Part, RecordsDurable, WriteFailed
+from lfield.host.context import HostContext, Part, WriteFailed
 from lfield.host.team.part_interfaces import CoordinatorOperations, LeaseRules
 from lfield.journal.records import PendingCallRecord, pending_call_key
 from lfield.vm.agent import Agent
@@ -36,15 +36,11 @@ class PendingCallStore(Part):
         for page in context.records:
             if isinstance(page, PendingCallRecord) and page.program == self._mission:
                 self._records[page.agent, page.generation, page.number] = page, 0
-        #: The last batch on disk.
-        self._durable_batch = 0
-        #: Results that are not on disk yet.
-        self._completed: deque[tuple[int, CallKey]] = deque()
         #: Calls that the machine may start, until they have started.
         self._deleted: list[CallKey] = []
         #: Fetched results, until a record of the coordinator contains them.
         self._fetched: dict[StartId, list[CallKey]] = {}
-        self.observes = {RecordsDurable: self._on_durable, WriteFailed: self._on_write_failed}
+        self.observes = {WriteFailed: self._on_write_failed}
 
     def restore(self) -> None:
         """The resources are started: calls under way before the restart are lost."""
@@ -87,7 +83,7 @@ class PendingCallStore(Part):
         return False
 
     def _is_durable(self, key: CallKey) -> bool:
-        return key in self._records and self._records[key][1] <= self._durable_batch
+        return key in self._records and self._records[key][1] <= self._team.write_ahead.durable
 
     def _add_record(self, agent: Agent, call: CallRequest) -> None:
         page = PendingCallRecord(
@@ -107,18 +103,14 @@ class PendingCallStore(Part):
         elif (found := self._records.get(pending.key)) and not pending.dropped:
             outcome = "done" if pending.state == "done" else "thrown"
             batch = self._persist(structs.replace(found[0], outcome=outcome, result=pending.result))
-            self._completed.append((batch, pending.key))
+            self._team.write_ahead.when_durable(batch, partial(self._on_result_durable, pending.key))
 
     # --- journal --------------------------------------------------------------------------------------
 
-    def _on_durable(self, event: RecordsDurable) -> None:
-        """Results on disk may be reported."""
-        self._durable_batch = event.number
-        while self._completed and self._completed[0][0] <= event.number:
-            _, key = self._completed.popleft()
-            # The calls of the start may have been cancelled during the write.
-            if key in self._records:
-                self._machine.pending_calls.on_persisted(key)
+    def _on_result_durable(self, key: CallKey) -> None:
+        """A result on disk may be reported, unless the calls of the start were cancelled during the write."""
+        if key in self._records:
+            self._machine.pending_calls.on_persisted(key)
 
     def on_save(self, agent: Agent) -> bool:
         """Delete the fetched results of a coordinator when it is saved: the stored block contains them."""
@@ -139,7 +131,7 @@ class PendingCallStore(Part):
         waiting = [
             key
             for key, (page, batch) in self._records.items()
-            if batch > self._durable_batch and not page.outcome
+            if batch > self._team.write_ahead.durable and not page.outcome
         ]
         self._delete(waiting)
 

@@ -6,12 +6,12 @@ are renewed here or by messages, as long as the coordinators are here or wait to
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import get_args
 
 from lfield.capability.directory.directory_delta import ReservedBy
-from lfield.host.context import HostContext, LinkOpened, Part, RecordsDurable, WriteFailed
+from lfield.host.context import HostContext, LinkOpened, Part, WriteFailed
 from lfield.host.team.part_interfaces import CoordinatorOperations, LeaseRules
 from lfield.host.team.reservations import (
     RESERVED,
@@ -64,8 +64,6 @@ class ReservationService(Part):
         #: The calls of persons that wait for a resource, and the calls that may try again.
         self._waiting_persons: set[StartKey] = set()
         self._retried_persons: list[StartKey] = []
-        #: The reservations whose records are being written, with the number of the batch.
-        self._unwritten: deque[tuple[int, str, int]] = deque()
         #: The time when the reservations of each coordinator here were last renewed.
         self._renewed: dict[str, tuple[Agent, float]] = {}
         #: Whether a coordinator was resumed since the last `poll_resumed`.
@@ -75,7 +73,6 @@ class ReservationService(Part):
         self.handles = dict.fromkeys(get_args(ReservationMessage), self._on_message)
         self.observes = {
             LinkOpened: self._on_link_opened,
-            RecordsDurable: self._on_durable,
             WriteFailed: self._on_write_failed,
         }
 
@@ -218,12 +215,9 @@ class ReservationService(Part):
         )
         return {self._hosts[resource.host] for resource, _ in held}
 
-    def _on_durable(self, event: RecordsDurable) -> None:
-        if not self._unwritten:
-            return
-        while self._unwritten and self._unwritten[0][0] <= event.number:
-            _, resource, given = self._unwritten.popleft()
-            self._reservations.on_durable(resource, given, self._clock.monotonic())
+    def _on_durable(self, resource: str, number: int) -> None:
+        """The record of a holder is on disk."""
+        self._reservations.on_durable(resource, number, self._clock.monotonic())
         self._apply_effects()
 
     def _on_write_failed(self, event: WriteFailed) -> None:
@@ -330,7 +324,8 @@ class ReservationService(Part):
             page = ReservationRecord(effect.resource, effect.number, agent, generation)
             batch = self._team.write_ahead.add_record(page, self._clock.monotonic(), is_lazy=effect.is_lazy)
             if effect.holder is not None:
-                self._unwritten.append((batch, effect.resource, effect.number))
+                action = partial(self._on_durable, effect.resource, effect.number)
+                self._team.write_ahead.when_durable(batch, action)
         elif effect.holder is not None:
             self._reservations.on_durable(effect.resource, effect.number, self._clock.monotonic())
 

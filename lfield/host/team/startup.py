@@ -6,8 +6,9 @@ A coordinator that resumes from the journal never waits: only a new start does (
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import partial
 
-from lfield.host.context import HostContext, LinkClosed, LinkOpened, Part, RecordsDurable
+from lfield.host.context import HostContext, LinkClosed, LinkOpened, Part
 from lfield.host.team.part_interfaces import CoordinatorOperations, LeaseRules
 from lfield.host.team.start_readiness import Readiness
 from lfield.mission.mission import ON_GROUND
@@ -52,7 +53,6 @@ class Startup(Part):
         self.observes = {
             LinkOpened: self._on_link_opened,
             LinkClosed: self._on_link_closed,
-            RecordsDurable: self._on_durable,
         }
         without, vehicles = mission.bindings.start.without, mission.hosts_with_vehicles
         self.readiness = Readiness(
@@ -66,13 +66,13 @@ class Startup(Part):
         queried = self._hosts if self.own_agents else ()
         self._gate = StartGate(self.own_agents, [other for other in queried if other != host])
         self._gate.exclude(self.readiness.without)
-        #: The batch with the number of a start, and this number, until the batch is on disk.
-        self._pending_count: tuple[int, int] | None = None
+        #: Whether the number of a start is not on disk yet.
+        self._is_count_pending = False
 
     @property
     def is_settled(self) -> bool:
         """Whether the start of this host's coordinators is decided."""
-        return self._gate.is_decided and self._pending_count is None
+        return self._gate.is_decided and not self._is_count_pending
 
     @property
     def needed_hosts(self) -> Collection[str]:
@@ -111,11 +111,9 @@ class Startup(Part):
         self.readiness.on_vehicles(host, {name: report.vehicles.get(name) for name in vehicles})
         self.check()
 
-    def _on_durable(self, event: RecordsDurable) -> None:
-        if self._pending_count and event.number >= self._pending_count[0]:
-            _, counted = self._pending_count
-            self._pending_count = None
-            self._start_coordinators(counted)
+    def _on_count_durable(self, counted: int) -> None:
+        self._is_count_pending = False
+        self._start_coordinators(counted)
 
     def check(self) -> None:
         """After a change, start the coordinators if possible, and report the wait."""
@@ -268,10 +266,9 @@ class Startup(Part):
         )
         against = {agent: self._blocking_reason(agent, known) for agent in self.own_agents}
         if self._has_journal and counted < self._gate.next_generation and not all(against.values()):
-            self._pending_count = (
-                self._team.record_start(self._gate.next_generation),
-                self._gate.next_generation,
-            )
+            counted = self._gate.next_generation
+            self._is_count_pending, batch = True, self._team.record_start(counted)
+            self._team.write_ahead.when_durable(batch, partial(self._on_count_durable, counted))
             return
         for agent, why in against.items():
             if why:

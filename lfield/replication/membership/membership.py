@@ -82,6 +82,9 @@ class Membership:
         contacts: LinkContacts,
     ) -> None:
         self._contacts = contacts
+        #: The time of the last message from a host itself; None before the first. Heartbeats that other hosts
+        #: pass on do not count: they show that the host is alive, but not that a message can reach it.
+        self.last_contact = contacts.last_contact_at
         self._hosts, self._numbers, self._here, self._incarnation = hosts, numbers, here, incarnation
         self._neighbours, self.neighbours = neighbours, neighbours.neighbours
         #: The heartbeat counter of this host, and the counter up to which it was probed.
@@ -132,14 +135,6 @@ class Membership:
     def down_since(self) -> Mapping[str, float]:
         """The time since when each host has had no link, for hosts without a link."""
         return self._contacts.down_since
-
-    def last_contact(self, host: str) -> float | None:
-        """The time of the last message from a host itself; None before the first.
-
-        Heartbeats that other hosts pass on do not count: they show that the host is alive, but not that a
-        message can reach it.
-        """
-        return self._contacts.last_contact_at(host)
 
     def missing_for(self, host: str, now: float) -> float:
         """Seconds without a link to a needed host; 0 with a link, or for a host that is not needed."""

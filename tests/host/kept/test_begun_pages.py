@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.host.context import RecordsDurable, WriteFailed
+from lfield.host.context import WriteFailed
 from lfield.host.migration.write_ahead import WriteAheadQueue
 from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.journal.records import PendingCallRecord, key_of, pending_call_key
@@ -135,7 +135,7 @@ class Bench:
         assert batch is not None
         number, pages, keys = batch
         self.team.write_ahead.on_durable(number)
-        self.store.observes[RecordsDurable](RecordsDurable(number))
+        self.team.write_ahead.run_actions()
         return pages, keys
 
     def back(self) -> None:
