@@ -6,18 +6,52 @@ the robots, which only check that the installed driver has the same name and con
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 from lfield.driver.contract import Manifest
 from lfield.errors import PluginError
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+    from importlib.metadata import Distribution, EntryPoint
 
 #: The entry-point group of installed drivers.
 GROUP = "lfield.drivers.v1"
+
+
+def entry_points(group: str) -> tuple[EntryPoint, ...]:
+    """The installed entry points of a group.
+
+    The metadata of all distributions is read only once, and again after a package has been installed or
+    removed in a folder of `sys.path`.
+    """
+    return _read_entry_points(group, tuple((path, _last_change(path)) for path in sys.path))
+
+
+@lru_cache(maxsize=4)
+def _read_entry_points(group: str, _: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    # Imported here, because the module loads slowly and many hosts do not need it.
+    from importlib import metadata
+
+    return tuple(metadata.entry_points(group=group))
+
+
+def _last_change(folder: str) -> int:
+    """The time (ns) of the last change of a folder, 0 without one."""
+    with suppress(OSError):
+        return os.stat(folder or ".").st_mtime_ns
+    return 0
+
+
+@lru_cache(maxsize=64)
+def distribution_title(distribution: Distribution) -> str:
+    """The name and the version of a distribution."""
+    return f"{distribution.name} {distribution.version}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +117,7 @@ def installed_drivers(
     """
     if not names:
         return DriverIndex({})
-    if entries is None:
-        from importlib.metadata import entry_points
-
-        entries = entry_points(group=GROUP)
-    found = {entry.name: entry.value for entry in entries}
+    found = {entry.name: entry.value for entry in (entry_points(GROUP) if entries is None else entries)}
     return DriverIndex({name: _installed(drivers.by_driver[name], found) for name in names})
 
 

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
-from lfield.driver.driver_index import GROUP, DriverInfo, ManifestFile
+from lfield.driver.driver_index import GROUP, DriverInfo, ManifestFile, distribution_title, entry_points
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import PluginError, UsageError
 from lfield.manifest import DeviceManifest
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +108,8 @@ def _both(first: str, second: str, what: str) -> PluginError:
 def discover(entries: Iterable[EntryPoint] | None = None) -> Plugins:
     """Every installed driver. No vendor library is imported. Raises PluginError on duplicate names."""
     plugins = Plugins()
-    found = entry_points(group=GROUP) if entries is None else entries
+    found = entry_points(GROUP) if entries is None else entries
     # One distribution may be found twice (an editable install and a wheel): equal values are one plugin.
     for reference, entry in sorted({entry.value: entry for entry in found}.items()):
-        plugins.add(reference, f"{entry.dist.name} {entry.dist.version}" if entry.dist else "")
+        plugins.add(reference, distribution_title(entry.dist) if entry.dist else "")
     return plugins

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from lfield import exit_status
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.driver_index import entry_points
 from lfield.errors import LfieldError, PluginError
 from lfield.text.nonblocking_output import nonblocking_output
 from lfield.text.secure_files import open_private_folder
@@ -92,17 +93,9 @@ class Sims(dict[str, Sim]):
 def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
     """Every installed simulated device. Raises PluginError on duplicate names."""
     sims = Sims()
-    for reference in sorted({entry.value for entry in (installed() if entries is None else entries)}):
+    for reference in sorted({entry.value for entry in (entry_points(GROUP) if entries is None else entries)}):
         sims.add(reference)
     return sims
-
-
-def installed() -> list[EntryPoint]:
-    """The entry points of the installed simulated devices."""
-    # Imported here, because the module loads slowly and a host without simulated devices does not need it.
-    from importlib.metadata import entry_points
-
-    return list(entry_points(group=GROUP))
 
 
 def sims_of(drivers: Collection[str]) -> Sims:
@@ -110,7 +103,7 @@ def sims_of(drivers: Collection[str]) -> Sims:
 
     Simulated devices are registered under the names of their drivers; if a driver has none, all are examined.
     """
-    entries = installed()
+    entries = entry_points(GROUP)
     sims = discover_sims(entry for entry in entries if entry.name in drivers)
     return sims if sims.keys() >= set(drivers) else discover_sims(entries)
 
