@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Any
 
 import coroutine_tests
+import fleet_cleanup
 import parametrized_cases
 import pytest
 from _pytest.unittest import TestCaseFunction
@@ -174,6 +175,7 @@ class EveryTest:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(EveryTest())
+    config.pluginmanager.register(fleet_cleanup.FleetCleanup())
 
 
 @pytest.hookimpl(tryfirst=True)
