@@ -46,11 +46,13 @@ class Folder:
         return self.path / f"{digest.hex()}.lfm"
 
     def start(self, bundle: bytes) -> ProcessId:
-        self.started.append(self.processes.start(bundle))
-        # The kernel sets the command line shortly after it has started the program.
-        while not Path(f"/proc/{self.started[-1].pid}/cmdline").read_bytes():
+        process = self.processes.start(bundle)
+        self.started.append(process)
+        # The kernel sets the command line shortly after it has started the program. A process that has ended
+        # has no command line.
+        while not Path(f"/proc/{process.pid}/cmdline").read_bytes() and self.processes.is_alive(process):
             os.sched_yield()
-        return self.started[-1]
+        return process
 
 
 @pytest.fixture
