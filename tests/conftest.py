@@ -15,7 +15,6 @@ from types import FrameType
 from typing import Any
 
 import coroutine_tests
-import fleet_cleanup
 import parametrized_cases
 import pytest
 from _pytest.unittest import TestCaseFunction
@@ -173,9 +172,49 @@ class EveryTest:
         return True
 
 
+class FleetCleanup:
+    """Closes the simulated fleets that a test leaves running.
+
+    The tasks of a killed process must not be unwound, so they stay in memory until `Fleet.close`. Without it,
+    the fleets of all tests would fill gigabytes, and each garbage collection would visit them.
+    """
+
+    def __init__(self) -> None:
+        self._created: list[Any] = []
+        self._is_recording = self._is_installed = False
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
+        """Close the fleets after the test; those of fixtures may live longer."""
+        self._install()
+        self._is_recording = True
+        try:
+            return (yield)
+        finally:
+            self._is_recording = False
+            for fleet in self._created:
+                fleet.close()
+            self._created.clear()
+
+    def _install(self) -> None:
+        # Only where a test has imported the module, which loads slowly.
+        module = sys.modules.get("lfield.simulate.host_fleet")
+        if self._is_installed or module is None:
+            return
+        self._is_installed = True
+        make = module.Fleet.__init__
+
+        def record(fleet: Any, *given: Any, **options: Any) -> None:
+            make(fleet, *given, **options)
+            if self._is_recording:
+                self._created.append(fleet)
+
+        module.Fleet.__init__ = record
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(EveryTest())
-    config.pluginmanager.register(fleet_cleanup.FleetCleanup())
+    config.pluginmanager.register(FleetCleanup())
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -28,13 +28,7 @@ from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
-from lfield.wire.coordinator_messages import (
-    CoordinatorState,
-    Outcome,
-    Terminated,
-    TerminatedAck,
-    Transfer,
-)
+from lfield.wire.coordinator_messages import CoordinatorState, Outcome, Terminated, TerminatedAck, Transfer
 from lfield.wire.fields import truncate
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Backpressure, Pong, RelayedMessage
