@@ -247,7 +247,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
         "and the shortest possible silence is 0.3 s: "
         "reduce the load of "
-        "this computer, give its guards": "a computer that is late: tests/devices/test_late_computer.py",
+        "this computer, give its guards": "a computer that is late: tests/devices/test_jitter_measurement.py",
         'lfield estop --reason "person on the field"': TEAM,
         "lfield estop mission.lfm": TEAM,
         "stopping tour-0a1b2c3d: alpha, bravo": TEAM,
