@@ -1,4 +1,4 @@
-"""The vendor's SDK, unchanged, against the fake: on virtual time in this process, and through a terminal."""
+"""The unchanged SDK of the vendor with the fake: in virtual time, and in a process with a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IDS = (1, 2, 3, 4, 5, 6)
 
 
 class VirtualPort(ChainWire, sdk.PortHandler):
-    """The SDK's port with a chain at its end."""
+    """The port of the SDK, connected to a chain."""
 
     def __init__(self, chain: ServoChain) -> None:
         super().__init__("virtual")
@@ -157,7 +157,7 @@ def test_sdk_with_an_ax_servo():
     assert packets.read1ByteTxRx(port, 5, 24) == (0, 0, 0x20), "every answer contains the error"
 
 
-# ---- through a terminal -----------------------------------------------------------------------------
+# ---- pseudo-terminal -----------------------------------------------------------------------------
 
 
 @contextmanager
@@ -168,12 +168,12 @@ def running(*options: str) -> Iterator[tuple[RunningFake, str]]:
         assert kind == "serial"
         yield fake, path
     assert fake.process.returncode == 0
-    assert not os.path.lexists(path), "the link must be removed"
+    assert not os.path.lexists(path), "the fake has not removed its link"
 
 
 @pytest.fixture
 def long_sdk_timeout(monkeypatch) -> None:
-    """The SDK's timeout of 34 ms is too short for a loaded computer."""
+    """Increase the timeout of the SDK: 34 ms are too short on a loaded computer."""
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 250)
 
 
@@ -185,7 +185,7 @@ def opened(path: str, baud: int) -> sdk.PortHandler:
 
 
 @pytest.mark.process
-def test_sdk_session_through_a_terminal(packets, long_sdk_timeout):
+def test_sdk_session_with_a_pseudo_terminal(packets, long_sdk_timeout):
     servos = [f"--servo={id}:XL330-M288:arm.joint{id}" for id in IDS]
     with running("--baud", "1000000", *servos) as (fake, path):
         port = opened(path, 1_000_000)
@@ -222,10 +222,10 @@ def test_wrong_baud_rate_gets_no_answer_and_a_nonstandard_rate_works(packets, lo
 
 
 @pytest.mark.process
-def test_unplugged_terminal_fails_and_returns(packets, long_sdk_timeout, tmp_path):
+def test_unplugged_terminal_fails_and_can_be_opened_again(packets, long_sdk_timeout, tmp_path):
     path = str(tmp_path / "ttyDXL")
-    with running("--listen", path) as (fake, where):
-        assert where == path
+    with running("--listen", path) as (fake, port_path):
+        assert port_path == path
         port = opened(path, 57_600)
         assert packets.write1ByteTxRx(port, 1, LED, 1) == (0, 0)
         fake.fault("unplug=true")
@@ -267,8 +267,8 @@ def test_invalid_option_of_the_servo_fake_is_refused(capsys, options, words):
 
 
 def binding(field: str, type: str, **options: object) -> DeviceBinding:
-    where = {"agent": "a", "driver": "dynamixel", "endpoint": "sim:a", "safe_state": "hold"}
-    return DeviceBinding(field=field, type=type, options=options, **where)
+    common = {"agent": "a", "driver": "dynamixel", "endpoint": "sim:a", "safe_state": "hold"}
+    return DeviceBinding(field=field, type=type, options=options, **common)
 
 
 def test_protocol_1_bindings_make_ax_servos():
