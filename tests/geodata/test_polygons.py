@@ -1,4 +1,4 @@
-"""Geometry on a plane, compared with brute force."""
+"""Geometry on a plane: measures of a square, and crossing edges compared with a check of all pairs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_sweep_equals_the_comparison_of_all_pairs(corners):
 
 
 def _segments_meet(a, b, c, d):
-    """By orientation and inclusion, with whole numbers."""
+    """Whether the segments ab and cd have a common point. Exact for integer coordinates."""
 
     def side(p, q, r):
         value = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
