@@ -185,7 +185,9 @@ def test_authority_without_its_revocation_list_is_refused(ledger: Ledger) -> Non
         assert again.revoked.serials == {who.serial for who in revoked}
 
 
-def test_key_folder_search_order(ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_folders_are_searched_in_order(
+    ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY).folder
     anna = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY).folder
     home, system = tmp_path / "home", tmp_path / "system"

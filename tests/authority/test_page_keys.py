@@ -200,7 +200,7 @@ def test_normalised_name_is_stable_or_refused(text: str) -> None:
         ("::", False),
     ],
 )
-def test_private_names(name: str, is_private: bool) -> None:
+def test_private_names_are_recognised(name: str, is_private: bool) -> None:
     assert is_private_name(name) is is_private
 
 

@@ -113,7 +113,7 @@ def signer(who: Identity = ANNA, signed: float = 1200.0, at: float = 1500.0, **o
     return verify_signer(who, signed, at=at, authority=OURS, **options)
 
 
-def test_only_persons_with_command_may_sign() -> None:
+def test_only_persons_with_the_command_right_may_sign() -> None:
     assert signer() == AdmissionDecision("all")
     without_command = replace(ANNA, may=ALL_RIGHTS - {Right.COMMAND})
     assert signer(without_command) == AdmissionDecision(
@@ -138,7 +138,7 @@ def test_running_bundle_continues_after_its_signer_expires() -> None:
         assert (running.extent, running.why) == ("all", found.why)
 
 
-def test_time_format() -> None:
+def test_times_are_formatted_in_utc() -> None:
     assert format_time(1795464000.0) == "2026-11-23 20:00 UTC"
     assert format_time(math.inf) == format_time(math.nan) == format_time(1e300) == "at no time"
 

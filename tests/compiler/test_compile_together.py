@@ -31,7 +31,7 @@ def boss(body: str, members: str = "") -> str:
     )
 
 
-def heads(body: str) -> list[str]:
+def instruction_names(body: str) -> list[str]:
     """The names of the instructions of `work` that call a method or a portal, or run in the machine."""
     words = ("gather", "begin", "start", "fetch", "leave", "limit", "hold", "take", "drop", "pcall", "call")
     words += ("print_int", "sleep")
@@ -98,7 +98,7 @@ def test_a_together_gathers_begins_and_fetches() -> None:
     ],
 )  # fmt: skip
 def test_collected_calls_start_before_code_that_takes_time(body: str, expected: str) -> None:
-    assert heads(body) == expected.split()
+    assert instruction_names(body) == expected.split()
 
 
 def test_a_time_limit_is_a_handler_row() -> None:
@@ -155,12 +155,12 @@ def test_collected_calls_start_before_a_method_that_reserves() -> None:
 
 def test_all_exits_share_one_drop() -> None:
     exits = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
-    assert heads(f"while (true) {{ reserve (arm) {{ {exits} }} }}") == ["hold", "take", "drop"]
+    assert instruction_names(f"while (true) {{ reserve (arm) {{ {exits} }} }}") == ["hold", "take", "drop"]
 
 
 def test_the_code_of_a_finally_occurs_once() -> None:
     exits = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
-    assert heads(f"while (true) {{ try {{ {exits} }} finally {{ print(7); }} }}") == ["print_int"]
+    assert instruction_names(f"while (true) {{ try {{ {exits} }} finally {{ print(7); }} }}") == ["print_int"]
 
 
 def test_nested_finally_code_grows_linearly() -> None:

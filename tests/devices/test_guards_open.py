@@ -111,12 +111,12 @@ def test_two_emergency_stops_both_return_the_result(plugins):
     async def scenario() -> float:
         guards, loop = DeviceGuards(plugins, ManualClock(), print), asyncio.get_running_loop()
         guards._guards = [LateGuard(2.0)]
-        began = loop.time()
+        start = loop.time()
         first, second = (
             asyncio.ensure_future(guards.emergency_stop(reason)) for reason in ("first", "second")
         )
         assert await first == await second == {"arm.wrist": ""}
-        return loop.time() - began
+        return loop.time() - start
 
     assert run_jumping(scenario()) == pytest.approx(2.0)
 

@@ -1,6 +1,6 @@
 """A guard that sends invalid messages, or ends, is restarted; the host continues.
 
-A guard loads code of others, so the host checks each message of a guard.
+A guard loads third-party code, so the host checks each message of a guard.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def test_host_kills_a_guard_that_sends_an_invalid_message(message, report):
 
 
 def test_guard_restart_is_delayed_only_after_a_short_run(monkeypatch):
-    """The delay is short, because the autopilot receives no heartbeats during it."""
+    """Without a guard the autopilot receives no heartbeats, so the restart is not delayed without need."""
     started = []
 
     async def scenario():

@@ -27,12 +27,12 @@ class DelayedClock(LoopClock):
     """The clock of a computer that pauses for `late` seconds at each of `times`."""
 
     def __init__(self, late, *times):
-        self.late, self.times, self.begun = late, list(times), None
+        self.late, self.times, self.start = late, list(times), None
 
     def monotonic(self):
         now = super().monotonic()
-        self.begun = now if self.begun is None else self.begun
-        return now + self.late * sum(self.begun + when <= now for when in self.times)
+        self.start = now if self.start is None else self.start
+        return now + self.late * sum(self.start + when <= now for when in self.times)
 
 
 def plugins():

@@ -127,7 +127,7 @@ def test_warning_is_repeated_each_minute_or_for_a_longer_delay():
     assert "late by 80 ms (longest so far 0.14 s)" in run.beat(0.08)
 
 
-def test_last_minute_figure_expires_and_the_longest_stays():
+def test_figure_of_the_last_minute_expires_and_the_longest_is_kept():
     run = Run()
     run.beat(0.3)
     run.beats(30.0)

@@ -36,7 +36,7 @@ def targets(locations: list[dict[str, Any]]) -> list[tuple[str, str]]:
     return found
 
 
-def test_session_of_40_requests(session: LspSession) -> None:
+def test_session_answers_40_requests(session: LspSession) -> None:
     assert session.capabilities["positionEncoding"] == "utf-16"  # 1: initialize
     session.open("mission.L")
     session.open("mission.dL")

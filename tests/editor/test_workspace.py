@@ -429,7 +429,7 @@ def test_outline_of_program_and_deployment(workspace: Workspace) -> None:
     assert outline == [("eye", "Watcher on sky"), ("boss", "Boss on sky"), ("desk", "witness")]
 
 
-def test_format_of_open_texts(workspace: Workspace) -> None:
+def test_open_texts_are_formatted(workspace: Workspace) -> None:
     workspace.put(MISSION, PROGRAM.replace("    ", "\t").replace(" = ", "="))
     assert workspace.format(MISSION) == PROGRAM.replace("fc;     //", "fc;  //")
     workspace.put(MISSION, "class A {")

@@ -69,7 +69,7 @@ def test_telemetry_has_units_and_meanings_of_the_manifest(whole):
     assert (fields["armed"], fields["satellites"]) == ({"type": "boolean"}, {"type": "integer"})
 
 
-def test_hop_is_an_arrow_and_a_failed_hop_is_erased(whole):
+def test_hop_is_an_arrow_and_the_arrow_of_a_failed_hop_is_deleted(whole):
     (time, first), (_, second), (_, third) = by_topic(whole)["/hops"]
     assert time == 0.2
     entity = first["entities"][0]
@@ -233,7 +233,7 @@ def test_truncated_file_has_all_messages_flushed_before():
     assert [readable(data[:at]) for at, _ in marks] == [count for _, count in marks]
 
 
-def test_file_with_the_short_end_is_complete():
+def test_file_with_an_end_without_summary_is_complete():
     data, marks = flushed_flight()
     assert sum(map(len, by_topic(data + END_WITHOUT_SUMMARY).values())) == marks[-1][1]
 

@@ -76,7 +76,9 @@ def test_message_of_a_wrong_clock_does_not_delay_later_messages() -> None:
 
 
 @pytest.mark.parametrize("wall", [0.0, START + 1e8])
-def test_wrong_wall_clock_of_the_operator_is_tolerated(wall: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_wall_clock_of_the_operator_does_not_change_log_times(
+    wall: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock = ManualClock(START)
     monkeypatch.setattr(clock, "time", lambda: wall)
     order = MessageOrder(clock)

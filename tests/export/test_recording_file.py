@@ -37,7 +37,7 @@ def test_unwritable_path_is_an_error(path):
         RecordingFile(path)
 
 
-def test_device_file_is_written():
+def test_write_error_of_a_device_file_is_raised_at_each_flush():
     file = RecordingFile(Path("/dev/full"))
     file.write(b"x")
     with pytest.raises(OutputFileError):
@@ -48,7 +48,7 @@ def test_device_file_is_written():
 
 
 class SmallDisk:
-    """A disk with a size in bytes, and with one file."""
+    """A disk with `size` bytes and one file."""
 
     def __init__(self, size: int) -> None:
         self.size, self.write_bytes = size, os.write

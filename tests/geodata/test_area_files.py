@@ -50,7 +50,7 @@ def codes(data):
 # -- accepted files ----------------------------------------------------------------------------------------
 
 
-def test_polygon_of_kml():
+def test_polygon_is_read_from_kml():
     (shape,) = read(kml(polygon()))
     assert (shape.name, shape.kind, shape.corners, shape.holes) == ("p1", "polygon", CORNERS, 0)
     assert not shape.has_heights
@@ -77,13 +77,13 @@ def test_polygon_of_kml():
         b"\xef\xbb\xbf" + geojson(ring(*((east, north) for north, east in CORNERS))),
     ],
 )  # fmt: skip
-def test_notations_of_the_same_polygon(data):
+def test_notations_of_the_same_polygon_have_the_same_corners(data):
     (shape,) = read(data)
     assert shape.corners == CORNERS
     assert shape_findings(shape) == []
 
 
-def test_lines_points_and_multi_geometries():
+def test_lines_points_and_multi_geometries_are_read_as_single_shapes():
     line = "<LineString><coordinates>8,47 8.1,47</coordinates></LineString>"
     point = "<Point><coordinates>8,47,3</coordinates></Point>"
     shapes = read(kml(f"<MultiGeometry>{line}{point}</MultiGeometry>", line))

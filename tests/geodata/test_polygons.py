@@ -33,7 +33,7 @@ def test_plane_coordinates_are_metres_east_and_north():
     assert plane_of([(47.0, 8.0), (47.2, 8.2)]).point((47.1, 8.1)) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def test_measures_of_a_square():
+def test_area_length_and_distances_of_a_square():
     assert area(SQUARE) == 100.0
     assert length(SQUARE) == 30.0
     assert is_inside(SQUARE, (5.0, 5.0))

@@ -124,7 +124,7 @@ def test_dead_servo_behind_an_echo_is_reported_and_found_again(protocol):
 
 
 @pytest.mark.parametrize("first", [False, True])
-def test_port_may_return_with_another_adapter(first):
+def test_port_may_be_plugged_in_again_with_another_adapter(first):
     b = bench(1, 1)
     b.fault(f"echo={str(first).lower()}")
 
@@ -141,7 +141,7 @@ def test_port_may_return_with_another_adapter(first):
     assert b.notes.count(ECHO) == 1
 
 
-def test_lost_and_damaged_answers_behind_an_echo():
+def test_motion_ends_with_lost_and_damaged_answers_behind_an_echo():
     b = bench(1, 1, 2)
     b.fault("echo=true", "lose=0.05", "corrupt=0.05", "noise=0.05")
 

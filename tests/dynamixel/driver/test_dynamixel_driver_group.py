@@ -127,7 +127,7 @@ async def test_member_whose_answers_are_lost_is_made_safe(bench, group, /):
 
 
 @on_bench(Bench, 1, 2, 3, 4, 5, 6, safe_state="torque_off")
-async def test_first_safe_frame_does_not_wait_for_dead_members(bench, group, /):
+async def test_first_safe_state_packet_does_not_wait_for_dead_members(bench, group, /):
     await enable(group)
     bench.fault("dead@1=true", "dead@2=true", "dead@3=true")
     await asyncio.sleep(0.51)

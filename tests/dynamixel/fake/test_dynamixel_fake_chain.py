@@ -160,7 +160,7 @@ def test_registered_writes_wait_for_action():
     assert bus.ask(1, REG_WRITE, b"\x41\x00\x09") == [(1, RANGE, b"")]
 
 
-def test_reboot_is_answered_before_a_silence():
+def test_reboot_is_answered_before_the_servo_restarts():
     bus = Bus()
     bus.write(1, LED, b"\x01")
     assert bus.ask(1, REBOOT) == [(1, 0, b"")]
@@ -193,7 +193,7 @@ def test_clear_resets_turns_only_at_rest():
 
 
 @pytest.mark.parametrize(("model", "data"), [("XM430-W350", 224), ("XL330-M288", 208)])
-def test_indirect_addresses(model, data):
+def test_indirect_addresses_read_and_write_their_registers(model, data):
     bus = Bus(model=model)
     assert bus.write(1, data, b"\x2a") == 0, "initially each pointer refers to its own byte"
     assert bus.read(1, data, 1) == b"\x2a"

@@ -79,7 +79,7 @@ def test_any_valid_packet_on_the_bus_resets_every_watchdog():
 # ---- protocol 1.0 -----------------------------------------------------------------------------------
 
 
-def test_protocol_1_of_the_fake():
+def test_fake_answers_and_refuses_protocol_1_packets():
     bus = Bus(protocol_type=1)
     assert bus.ask(1, PING) == []
     assert bus.send(encode1(1, PING)) == bytes.fromhex("FF FF 01 02 00 FC")
@@ -106,7 +106,7 @@ def test_dead_servo_ends_a_group_read():
     assert bus.chain.servos[1].table["led"] == 0
 
 
-def test_lost_and_corrupt_replies():
+def test_writes_with_lost_replies_are_executed_and_one_byte_is_corrupted():
     bus = Bus(1, 2, 3)
     bus.chain.faults.apply(["lose@2=1"])
     assert bus.write(2, LED, b"\x01") is None
@@ -120,7 +120,7 @@ def test_lost_and_corrupt_replies():
     assert sum(a != b for a, b in zip(good, bad, strict=True)) == 1
 
 
-def test_delayed_foreign_and_nonsense_answers():
+def test_faults_delay_answers_change_their_ids_and_garble_them():
     bus = Bus(1)
     bus.chain.faults.apply(["delay=0.5"])
     assert bus.chain.receive(encode(1, PING), 5.0)[0].at > 5.5

@@ -54,7 +54,7 @@ def desk() -> Desk:
     return Desk()
 
 
-def test_session_of_the_vendor_client():
+def test_vendor_client_pings_moves_and_reads_servos():
     desk = Desk(3)
     client, port = desk.client, desk.port
     assert client.ping(2) == (777, sdk.COMM_SUCCESS, 0)
@@ -92,7 +92,7 @@ def test_wheel_mode_turns_with_its_ramp(desk):
 
 
 @pytest.mark.parametrize("value", [0, 1, -1, 2047, -2047, 5000, -5000])
-def test_sign_and_magnitude_encoding(value):
+def test_sign_and_magnitude_encoding_is_reversible_within_its_range(value):
     assert signed(magnitude(value, 1 << 11), 1 << 11) == max(-2047, min(2047, value))
 
 

@@ -84,7 +84,7 @@ def test_timed_profile_has_the_given_duration(start, goal, total, rising):
     assert profile.duration == pytest.approx(total, rel=1e-6)
 
 
-def test_kinds_of_profiles():
+def test_profile_kind_depends_on_speed_and_acceleration():
     assert MotionProfile(0, 0, 100, math.inf, 10.0).kind == STEP
     assert MotionProfile(0, 0, 100, 10.0, math.inf).kind == RECTANGULAR
     assert MotionProfile(0, 0, 100, 10.0, 10.0).kind == TRAPEZOIDAL
@@ -119,7 +119,7 @@ def test_trapezoidal_profile_over_time():
     assert (bench["present_position"], bench["moving"]) == (3000, 0)
 
 
-def test_time_based_profile():
+def test_time_based_profile_has_the_given_duration():
     bench = Bench(drive_mode=4, torque_enable=1, profile_velocity=2000, profile_acceleration=500)
     bench["goal_position"] = 3000
     assert bench.wait(1.0)["present_position"] == pytest.approx(2524, abs=5), (
@@ -147,7 +147,7 @@ def test_extended_mode_counts_turns_and_position_mode_does_not():
     assert bench["present_position"] == 10_000 % 4096
 
 
-def test_current_mode_and_pwm_mode():
+def test_current_and_pwm_modes_apply_their_goals():
     bench = Bench(operating_mode=0, torque_enable=1, goal_current=50).wait(0.04)
     assert bench["present_current"] == pytest.approx(50, abs=2)
     bench = Bench(operating_mode=16, torque_enable=1, goal_pwm=-442).wait(2.0)
@@ -178,7 +178,7 @@ def test_servo_stops_at_an_obstacle_and_can_return():
     assert bench["present_position"] == pytest.approx(2048, abs=3)
 
 
-def test_reverse_and_homing_offset():
+def test_drive_mode_reverses_motion_and_homing_offset_shifts_positions():
     bench = Bench(drive_mode=1, operating_mode=1, torque_enable=1, goal_velocity=50)
     before = bench["present_position"]
     bench.wait(1.0)
@@ -305,7 +305,7 @@ def test_ax_goal_switches_the_torque_on_and_moves_at_its_speed():
     assert bench.wait(0.5)["present_speed"] == pytest.approx(1024 + 100, abs=2), "clockwise"
 
 
-def test_ax_wheel_mode():
+def test_ax_wheel_mode_turns_without_an_end():
     bench = Bench("AX-12A", ccw_angle_limit=0, torque_enable=1, moving_speed=1024 + 512).wait(1.0)
     assert bench["present_speed"] == pytest.approx(1024 + 512 * 59 / 0.111 / 1023, rel=0.05)
     assert bench.wait(3.0)["moving"] == 1

@@ -47,7 +47,7 @@ def packets() -> sdk.Protocol2PacketHandler:
     return sdk.Protocol2PacketHandler()
 
 
-def test_sdk_pings(packets):
+def test_sdk_pings_one_servo_and_all_servos(packets):
     port = virtual(*IDS)
     assert packets.ping(port, 3) == (1020, sdk.COMM_SUCCESS, 0)
     assert packets.broadcastPing(port) == ({id: [1020, 52] for id in IDS}, sdk.COMM_SUCCESS)
@@ -65,7 +65,7 @@ def test_sdk_reads_and_writes_of_every_size(packets):
     assert packets.write1ByteTxRx(port, 1, LED, 9) == (0, 4)
 
 
-def test_sdk_registered_writes(packets):
+def test_sdk_action_executes_registered_writes(packets):
     port = virtual(1, 2)
     for id in (1, 2):
         assert packets.regWriteTxRx(port, id, LED, 1, [1]) == (0, 0)
@@ -74,7 +74,7 @@ def test_sdk_registered_writes(packets):
     assert [packets.read1ByteTxRx(port, id, LED)[0] for id in (1, 2)] == [1, 1]
 
 
-def test_sdk_group_reads(packets):
+def test_sdk_reads_groups_of_servos(packets):
     port = virtual(*IDS)
     group = sdk.GroupSyncRead(port, packets, POSITION, 4)
     for id in IDS:
@@ -101,7 +101,7 @@ def test_sdk_group_read_fails_with_a_missing_servo(packets):
     assert group.fastSyncRead() == sdk.COMM_RX_CORRUPT
 
 
-def test_sdk_group_writes(packets):
+def test_sdk_writes_groups_of_servos(packets):
     port = virtual(1, 2)
     sync = sdk.GroupSyncWrite(port, packets, GOAL, 4)
     assert sync.addParam(1, [0xE8, 3, 0, 0])
@@ -116,7 +116,7 @@ def test_sdk_group_writes(packets):
     assert packets.read4ByteTxRx(port, 2, GOAL)[0] == 1
 
 
-def test_sdk_reboot_clear_and_factory_reset(packets):
+def test_sdk_reboots_clears_and_resets_a_servo(packets):
     port = virtual(7, operating_mode=4)
     packets.write1ByteTxRx(port, 7, LED, 1)
     assert packets.reboot(port, 7) == (0, 0)
@@ -133,14 +133,14 @@ def test_sdk_reboot_clear_and_factory_reset(packets):
     assert packets.ping(port, 1)[1] == 0
 
 
-def test_sdk_with_protocol_1():
+def test_sdk_reads_and_writes_with_protocol_1():
     port, packets = virtual(1, protocol_type=1), sdk.Protocol1PacketHandler()
     assert packets.ping(port, 1) == (1020, 0, 0)
     assert packets.write4ByteTxRx(port, 1, GOAL, 1000) == (0, 0)
     assert packets.read4ByteTxRx(port, 1, GOAL) == (1000, 0, 0)
 
 
-def test_sdk_with_an_ax_servo():
+def test_sdk_moves_an_ax_servo_and_receives_its_errors():
     servo = make_servo(model_named("AX-12A"))
     servo.start_with(5, 57_600, 1, 0.0)
     port, packets = VirtualPort(ServoChain([servo])), sdk.Protocol1PacketHandler()
@@ -271,7 +271,7 @@ def binding(field: str, type: str, **options: object) -> DeviceBinding:
     return DeviceBinding(field=field, type=type, options=options, **common)
 
 
-def test_protocol_1_bindings_make_ax_servos():
+def test_fake_of_a_protocol_1_binding_is_an_ax_servo():
     assert SIM.arguments([binding("neck", "Dynamixel", id=3, protocol=1)])[2:] == [
         "--servo",
         "3:AX-12A:a.neck",
@@ -280,7 +280,7 @@ def test_protocol_1_bindings_make_ax_servos():
     assert options[-2:] == ["--protocol", "1.0"]
 
 
-def test_simulated_chain_is_made_from_bindings():
+def test_simulated_chain_has_the_servos_of_the_bindings():
     devices = [
         binding("gripper", "Dynamixel", id=7, model="XL330-M288"),
         binding("arm", "DynamixelGroup", ids=[1, 2, 7], model=""),
