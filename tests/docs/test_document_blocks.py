@@ -170,7 +170,7 @@ def test_every_line_of_a_page_with_a_real_time_mission_runs(page: str, scratch: 
 def test_every_exception_is_on_its_page(page: str) -> None:
     on_page = {without_comment(line) for block in BLOCKS.get(page, []) for line in lines_of(block)}
     on_page |= {block.text.splitlines()[0] for block in BLOCKS.get(page, []) if is_output(block)}
-    assert sorted(EXCEPTIONS[page].keys() - there) == []
+    assert sorted(EXCEPTIONS[page].keys() - on_page) == []
 
 
 @pytest.mark.parametrize(
