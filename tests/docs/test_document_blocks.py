@@ -37,7 +37,8 @@ _RUNS: dict[str, tuple[int | str, str]] = {}
 #: Pages whose lines run a mission in processes. Tests in the folders of these pages run the same missions in
 #: virtual time, and the README runs the mission of examples/10-client-server in processes.
 REAL_TIME = {
-    f"examples/{name}/README.md" for name in ("11-multiple-tiers", "12-peer-to-peer", "15-tuple-space")
+    f"examples/{name}/README.md"
+    for name in ("07-so101-arm", "11-multiple-tiers", "12-peer-to-peer", "15-tuple-space", "17-learning")
 }
 #: Folders of the repository that commands of the documents name.
 NAMED = ("examples", "deploy", "capabilities")
