@@ -5,7 +5,7 @@ A test fails if a line in this module is on no page.
 
 from __future__ import annotations
 
-#: Reasons of several lines.
+#: Reasons that several lines share.
 SUITE = "runs these tests again, or tests that take hours"
 HARDWARE = "hardware: a port or a bus of the robot"
 INSTALLS = "installs software on the system"
