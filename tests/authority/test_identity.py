@@ -1,4 +1,4 @@
-"""The identity in a certificate, as given by `getpeercert()`."""
+"""The identity in a certificate that `getpeercert()` returns."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def test_identity_of_a_host_and_of_a_person() -> None:
 
 
 def test_foreign_names_beside_an_lfield_name_are_ignored() -> None:
-    both = peer("https://example.org/", "lfield://host/alpha")
-    both["subjectAltName"] += (("DNS", "beta"),)
-    assert identity_of(both).name == "alpha"
+    certificate = peer("https://example.org/", "lfield://host/alpha")
+    certificate["subjectAltName"] += (("DNS", "beta"),)
+    assert identity_of(certificate).name == "alpha"
 
 
 @pytest.mark.parametrize(

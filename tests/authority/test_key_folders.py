@@ -33,7 +33,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def refused(folder: Path, words: str, holder="host") -> None:
+def check_refused(folder: Path, words: str, holder="host") -> None:
     with pytest.raises(KeysError, match=words):
         folders.read_keys(folder, holder)
 
@@ -72,7 +72,7 @@ def test_private_key_readable_by_others_is_refused(ledger: Ledger, bits: int) ->
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     key = made.folder / "host.key"
     key.chmod(bits)
-    refused(made.folder, f"it is secret, and others may read it: run 'chmod 600 {key}'")
+    check_refused(made.folder, f"it is secret, and others may read it: run 'chmod 600 {key}'")
     key.chmod(0o400)
     folders.read_keys(made.folder, "host")
 
@@ -80,25 +80,25 @@ def test_private_key_readable_by_others_is_refused(ledger: Ledger, bits: int) ->
 def test_key_files_writable_by_others_are_refused(ledger: Ledger) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     (made.folder / "authority.pem").chmod(0o664)
-    refused(made.folder, r"authority.pem cannot be used: others may write to it")
+    check_refused(made.folder, r"authority.pem cannot be used: others may write to it")
     (made.folder / "authority.pem").chmod(0o644)
     made.folder.chmod(0o770)
-    refused(made.folder, "others may write to the folder")
+    check_refused(made.folder, "others may write to the folder")
 
 
 def test_missing_linked_or_too_large_key_files_are_refused(ledger: Ledger, tmp_path: Path) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     key = made.folder / "host.key"
     key.rename(tmp_path / "elsewhere")
-    refused(made.folder, r"host.key is not there: copy the folder again")
+    check_refused(made.folder, r"host.key is not there: copy the folder again")
     key.symlink_to(tmp_path / "elsewhere")
-    refused(made.folder, "it is a link; copy the file itself")
+    check_refused(made.folder, "it is a link; copy the file itself")
     key.unlink()
     os.mkfifo(key, 0o600)
-    refused(made.folder, "not a plain file")
+    check_refused(made.folder, "not a plain file")
     key.unlink()
     folders.write_keys(made.folder, Keys("host", b"a", b"c", b"k" * (17 << 10)))
-    refused(made.folder, "too large")
+    check_refused(made.folder, "too large")
 
 
 def test_link_to_a_key_folder_is_followed_and_checked(ledger: Ledger, tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_link_to_a_key_folder_is_followed_and_checked(ledger: Ledger, tmp_path: 
     link.symlink_to(made.folder)
     assert folders.read_keys(link, "host") == folders.read_keys(made.folder, "host")
     made.folder.chmod(0o770)
-    refused(link, "others may write to the folder")
+    check_refused(link, "others may write to the folder")
 
 
 def test_host_keys_without_a_revocation_list_are_refused(ledger: Ledger) -> None:
@@ -118,13 +118,13 @@ def test_host_keys_without_a_revocation_list_are_refused(ledger: Ledger) -> None
     assert revoked_in(folders.read_crl(host), ledger.authority.certificate).serials == set()
     assert folders.read_keys(person, "person").revoked == b""
     (host / "revoked.crl").unlink()
-    refused(host, r"revoked.crl is not there: copy the folder again")
+    check_refused(host, r"revoked.crl is not there: copy the folder again")
 
 
 @given(data=st.data())
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_truncated_copy_of_keys_is_refused(ledger: Ledger, data) -> None:
-    folder, who = _copied(ledger)
+    folder, who = _alpha_keys(ledger)
     path = data.draw(st.sampled_from(sorted(folder.iterdir())))
     whole = path.read_bytes()
     length = data.draw(st.one_of(st.just(0), st.integers(0, len(whole) - 1)))
@@ -140,8 +140,8 @@ def test_truncated_copy_of_keys_is_refused(ledger: Ledger, data) -> None:
     assert finding.state == ("problem" if found is None else "warning")
 
 
-def _copied(ledger: Ledger) -> tuple[Path, Identity]:
-    """The folder of one of two hosts, created once."""
+def _alpha_keys(ledger: Ledger) -> tuple[Path, Identity]:
+    """The key folder and the identity of host alpha; the ledger also revoked host bravo."""
     if not ledger.rows(AT):
         ledger.make("host", "bravo", (), AT, AT + DAY)
         ledger.make("host", "alpha", (), AT, AT + DAY)
@@ -153,14 +153,14 @@ def _copied(ledger: Ledger) -> tuple[Path, Identity]:
 def test_empty_revocation_list_is_refused(ledger: Ledger, holder) -> None:
     folder = ledger.make(holder, "alpha", (), AT, AT + DAY).folder
     (folder / "revoked.crl").write_bytes(b"")
-    refused(folder, r"revoked.crl is empty: it was cut short when it was copied", holder)
+    check_refused(folder, r"revoked.crl is empty: it was cut short when it was copied", holder)
     (ledger.folder / "revoked.crl").write_bytes(b"")
     with pytest.raises(KeysError, match="is empty"), open_ledger(ledger.folder):
         pass
 
 
 @pytest.mark.parametrize("part", [0, 0.5])
-def test_truncated_file_of_an_authority_is_named(ledger: Ledger, part: float) -> None:
+def test_error_names_the_truncated_file_of_an_authority(ledger: Ledger, part: float) -> None:
     ledger.make("host", "alpha", (), AT, AT + DAY)
     for path in (*ledger.folder.glob("issued/*"), *ledger.folder.glob("*.*")):
         named = path if part == 0 or path.stem != "authority" else ledger.folder
@@ -173,7 +173,7 @@ def test_truncated_file_of_an_authority_is_named(ledger: Ledger, part: float) ->
 
 def test_authority_without_its_revocation_list_is_refused(ledger: Ledger) -> None:
     ledger.make("host", "alpha", (), AT, AT + DAY)
-    gone = ledger.revoke("host", "alpha", AT)
+    revoked = ledger.revoke("host", "alpha", AT)
     kept = (ledger.folder / "revoked.crl").rename(ledger.folder / "kept")
     with (
         pytest.raises(KeysError, match="copy it there from the keys of any host"),
@@ -182,10 +182,12 @@ def test_authority_without_its_revocation_list_is_refused(ledger: Ledger) -> Non
         pass
     kept.rename(ledger.folder / "revoked.crl")
     with open_ledger(ledger.folder) as again:
-        assert again.revoked.serials == {who.serial for who in gone}
+        assert again.revoked.serials == {who.serial for who in revoked}
 
 
-def test_key_folder_search_order(ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_folders_are_searched_in_order(
+    ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY).folder
     anna = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY).folder
     home, system = tmp_path / "home", tmp_path / "system"
@@ -216,7 +218,7 @@ def test_key_folder_search_order(ledger: Ledger, tmp_path: Path, monkeypatch: py
         found("person", "me", LFIELD_KEYS="/nowhere")
 
 
-def test_host_name_cannot_leave_the_key_folder(
+def test_host_name_cannot_refer_to_a_parent_of_the_key_folder(
     ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
@@ -304,12 +306,12 @@ def test_revocation_covers_all_keys_and_updates_every_folder(ledger: Ledger) -> 
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY)
     ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY)
     bravo = ledger.make("host", "bravo", (), AT, AT + DAY)
-    gone = ledger.revoke("host", "alpha", AT + 2)
-    assert len(gone) == 2
+    revoked = ledger.revoke("host", "alpha", AT + 2)
+    assert len(revoked) == 2
     assert states(ledger) == [("host alpha", "revoked"), ("host alpha", "revoked"), ("host bravo", "good")]
     for folder in (ledger.folder, alpha.folder, bravo.folder):
         found = revoked_in(folders.read_crl(folder), ledger.authority.certificate)
-        assert (found.number, found.serials) == (int(AT) + 2, {who.serial for who in gone})
+        assert (found.number, found.serials) == (int(AT) + 2, {who.serial for who in revoked})
     with pytest.raises(KeysError, match="no keys of this authority that are not revoked"):
         ledger.revoke("host", "alpha", AT + 2)
     with pytest.raises(KeysError, match="no keys that are not revoked: 'lfield keys host alpha' makes some"):
@@ -341,7 +343,7 @@ def test_list_numbers_increase_after_restoring_a_backup(ledger: Ledger, tmp_path
     copy = shutil.copytree(ledger.folder, tmp_path / "copy")
     ledger.revoke("person", "anna", AT + 2)
     ledger.revoke_serial(bob.serial, AT + 2)
-    assert ledger.revoked.number == int(AT) + 3, "two of one second"
+    assert ledger.revoked.number == int(AT) + 3, "two lists of the same second have different numbers"
     with open_ledger(copy) as back:
         back.revoke("person", "bob", AT + 60)
         assert back.revoked.number > ledger.revoked.number
@@ -351,13 +353,13 @@ def test_list_numbers_increase_after_restoring_a_backup(ledger: Ledger, tmp_path
 
 
 def test_unknown_certificate_is_revoked_by_its_full_number(ledger: Ledger) -> None:
-    gone = f"{1 << 158:x}"
-    (made,) = ledger.revoke_serial(gone, AT)
-    assert (str(made), ledger.revoked.serials) == ("a stranger", {gone})
+    serial = f"{1 << 158:x}"
+    (made,) = ledger.revoke_serial(serial, AT)
+    assert (str(made), ledger.revoked.serials) == ("a stranger", {serial})
     with pytest.raises(KeysError, match="no certificates have a number that begins with"):
-        ledger.revoke_serial(gone[:36], AT)
+        ledger.revoke_serial(serial[:36], AT)
     with pytest.raises(KeysError, match="is revoked already"):
-        ledger.revoke_serial(gone, AT)
+        ledger.revoke_serial(serial, AT)
 
 
 def test_issued_keys_stay_valid_after_renewing_the_authority(ledger: Ledger) -> None:
@@ -367,12 +369,12 @@ def test_issued_keys_stay_valid_after_renewing_the_authority(ledger: Ledger) -> 
     assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).who.valid_until == AT + 9000 * DAY
 
 
-def test_ledger_refuses_changes_after_the_clock_went_back(ledger: Ledger) -> None:
+def test_ledger_refuses_changes_after_the_clock_was_set_back(ledger: Ledger) -> None:
     ledger.make("host", "alpha", (), AT + DAY, AT + 2 * DAY)
-    for what in (
+    for change in (
         lambda: ledger.make("host", "bravo", (), AT, AT + DAY),
         lambda: ledger.revoke("host", "alpha", AT),
         lambda: ledger.renew_authority(AT, AT + 9999 * DAY),
     ):
         with pytest.raises(KeysError, match="has issued keys 2026-11-24 20:00 UTC: set the clock"):
-            what()
+            change()

@@ -1,4 +1,4 @@
-"""Keys of web pages: trust by browsers, names, and refusal on links between hosts."""
+"""Keys of web pages: browsers trust them for their names, and hosts refuse them on links between hosts."""
 
 from __future__ import annotations
 
@@ -35,35 +35,33 @@ def page(root: BrowserCa) -> IssuedCertificate:
 
 
 def opened(root: bytes, page: IssuedCertificate, name: str) -> str:
-    """The TLS version with which a browser that trusts `root` opens the page. Raises ssl.SSLError."""
+    """The TLS version of the connection of a browser that trusts `root` to the page. Raises ssl.SSLError."""
     browser, server = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     # The tests use their own times; OpenSSL would use the computer's clock.
     browser.verify_flags |= ssl.VerifyFlags(NO_CHECK_TIME)
     browser.load_verify_locations(cadata=root.decode())
     with as_file(page.certificate) as certificate, as_file(page.key) as key:
         server.load_cert_chain(certificate, key)
-    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
-    near = browser.wrap_bio(back, there, server_hostname=name)
-    far = server.wrap_bio(there, back, server_side=True)
+    to_server, to_browser = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client = browser.wrap_bio(to_browser, to_server, server_hostname=name)
+    served = server.wrap_bio(to_server, to_browser, server_side=True)
     for _ in range(2):
-        for end in (near, far):
+        for end in (client, served):
             try:
                 end.do_handshake()
             except ssl.SSLWantReadError:
                 continue
-    return near.version() or ""
+    return client.version() or ""
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_browser_with_the_root_opens_a_page_by_each_name(
+def test_browser_that_trusts_the_root_opens_the_page_by_each_name(
     root: BrowserCa, page: IssuedCertificate, name: str
 ) -> None:
     assert opened(root.certificate, page, name) == "TLSv1.3"
 
 
-def test_browser_without_the_root_or_another_name_is_refused(
-    root: BrowserCa, page: IssuedCertificate
-) -> None:
+def test_browser_refuses_an_untrusted_root_and_another_name(root: BrowserCa, page: IssuedCertificate) -> None:
     other_root = new_browser_ca(AT, AT + DAY)
     with pytest.raises(ssl.SSLCertVerificationError, match=r"self.signed|unable to get local issuer"):
         opened(other_root.certificate, page, NAMES[0])
@@ -77,7 +75,7 @@ def test_stolen_root_cannot_sign_for_public_names(
 ) -> None:
     with pytest.raises(KeysError, match="is in no private network"):
         root.issue([name], at=AT, ends=AT + DAY)
-    # A thief would skip this check, but browsers check the name constraints of the root.
+    # The holder of a stolen root would skip this check, but browsers check the name constraints of the root.
     monkeypatch.setattr(browser_ca, "is_private_name", lambda name: True)
     forged = root.issue([name], at=AT, ends=AT + DAY)
     with pytest.raises(ssl.SSLCertVerificationError, match="permitted subtree violation"):
@@ -100,19 +98,19 @@ def test_root_is_read_back(root: BrowserCa, page: IssuedCertificate) -> None:
             read_browser_ca(certificate, key)
 
 
-# --- on links between hosts -------------------------------------------------------------------------------
+# --- on links between hosts --------------------------------------------------------------------------------
 
 
-def handshake(near: TlsIdentity, far: TlsIdentity) -> None:
+def handshake(client: TlsIdentity, server: TlsIdentity) -> None:
     """A TLS handshake between two identities. Raises HandshakeError."""
-    calling, called = near.channel(calls=True), far.channel(calls=False)
+    calling, called = client.channel(calls=True), server.channel(calls=False)
     for _ in range(3):
         list(called.receive(calling.data_to_send()))
         list(calling.receive(called.data_to_send()))
 
 
 def links(root: BrowserCa, page: IssuedCertificate) -> Iterator[tuple[TlsIdentity, TlsIdentity]]:
-    """Pairs of a host and page keys, each as client and server; the page keys trust the team's authority."""
+    """Pairs of client and server: a host, and page keys that trust the authority of the team."""
     team = new_authority(AT, AT + DAY)
     alpha = team.issue("host", "alpha", at=AT, ends=AT + DAY)
     host = TlsIdentity(Keys("host", team.certificate, alpha.certificate, alpha.key))
@@ -125,14 +123,14 @@ def links(root: BrowserCa, page: IssuedCertificate) -> Iterator[tuple[TlsIdentit
 
 def test_page_keys_and_root_are_refused_on_host_links(root: BrowserCa, page: IssuedCertificate) -> None:
     tried = 0
-    for near, far in links(root, page):
+    for client, server in links(root, page):
         with pytest.raises(HandshakeError, match=r"peer certificate rejected"):
-            handshake(near, far)
+            handshake(client, server)
         tried += 1
     assert tried == 4
 
 
-# --- names ------------------------------------------------------------------------------------------------
+# --- names -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -202,12 +200,12 @@ def test_normalised_name_is_stable_or_refused(text: str) -> None:
         ("::", False),
     ],
 )
-def test_private_names(name: str, is_private: bool) -> None:
+def test_private_names_are_recognised(name: str, is_private: bool) -> None:
     assert is_private_name(name) is is_private
 
 
 @pytest.mark.parametrize(
-    ("pattern", "name", "fits"),
+    ("pattern", "name", "is_matching"),
     [
         ("a.example", "a.example", True),
         ("*.example", "a.example", True),
@@ -217,11 +215,11 @@ def test_private_names(name: str, is_private: bool) -> None:
         ("*.0.0.2", "127.0.0.2", False),
     ],
 )
-def test_wildcard_matches_one_label(pattern: str, name: str, fits: bool) -> None:
-    assert is_match(pattern, name) is fits
+def test_wildcard_matches_one_label(pattern: str, name: str, is_matching: bool) -> None:
+    assert is_match(pattern, name) is is_matching
 
 
-# --- a folder ---------------------------------------------------------------------------------------------
+# --- the folder of page keys -------------------------------------------------------------------------------
 
 
 def test_page_keys_report_names_and_validity(page: IssuedCertificate, tmp_path: Path) -> None:
@@ -266,8 +264,6 @@ def test_invalid_page_keys_are_refused_with_a_reason(
             read_web_keys(tmp_path / "page")
 
 
-def test_certificate_chain_is_kept_and_its_first_one_checked(
-    root: BrowserCa, page: IssuedCertificate
-) -> None:
+def test_chain_is_kept_and_its_first_certificate_is_checked(root: BrowserCa, page: IssuedCertificate) -> None:
     keys = parse_web_keys(page.certificate + root.certificate, page.key)
     assert (keys.names, keys.certificate) == (NAMES, page.certificate + root.certificate)

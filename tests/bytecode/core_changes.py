@@ -31,12 +31,12 @@ def _with_record(core: Core, part: str, index: int, fields: dict[str, object]) -
 
 
 def position(quads: list[Quad], name: str, which: int = 0) -> int:
-    """Where an instruction is, the first one or a later one."""
+    """The index of an instruction of this name: the first one, or the one number `which`."""
     return [pc for pc, quad in enumerate(quads) if quad.op == BY_NAME[name].code][which]
 
 
 class SoundCode:
-    """The code of a sound program, to be changed."""
+    """The code of a sound program, and changes of it."""
 
     def __init__(self, program: Program) -> None:
         self.program = program
@@ -59,7 +59,7 @@ class SoundCode:
         return changed
 
     def put(self, place: str | int, name: str, a: int = 0, *, after: int = 0) -> Change:
-        """Replace the instruction at a place, or the one `after` the first of that name."""
+        """Replace an instruction: `after` instructions after an index, or after the first one of a name."""
 
         def change(quads: list[Quad]) -> None:
             at = place if isinstance(place, int) else position(quads, place)
@@ -68,7 +68,7 @@ class SoundCode:
         return self.change(change)
 
     def push(self, name: str, back: int, operand: int, which: int = 0) -> Change:
-        """Change the operand of the push `back` instructions before a head."""
+        """Change the operand of the push that is `back` instructions before an instruction."""
 
         def change(quads: list[Quad]) -> None:
             pc = position(quads, name, which) - back
@@ -78,7 +78,7 @@ class SoundCode:
         return self.change(change)
 
     def with_slot(self, name: str, distance: int, kind: int) -> Change:
-        """Make the push or pop at a distance from a head use a new slot of another type."""
+        """Make the push or pop at a distance from an instruction use a new slot of another type."""
 
         def changed(core: Core) -> Core:
             quads = list(self.program.quads)

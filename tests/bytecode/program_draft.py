@@ -1,7 +1,9 @@
-"""A valid hand-made program, in parts that a test can invalidate one at a time.
+"""A valid program, written by hand, in parts that a test can make invalid one at a time.
 
-Arm is a resource with a device, Guide a coordinator that calls its portal, Box a class that crosses it,
-Tool a resource specific class. Labels and handlers count from the start of their method.
+Arm is a resource with a device. Guide is a coordinator that calls the portal of Arm. Box is the class of the
+argument of that portal. Tool is a resource specific class.
+
+Labels and the positions in handlers count from the start of their method.
 """
 
 from __future__ import annotations
@@ -224,7 +226,7 @@ class Draft:
         )
 
     def program(self, core: Core | None = None) -> Program:
-        """The program, unverified."""
+        """The program, before verification."""
         core = core or self.core()
         debug = [
             msgspec.structs.replace(info, lines=tuple((pc + method.entry, line) for pc, line in info.lines))

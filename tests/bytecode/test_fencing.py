@@ -1,4 +1,4 @@
-"""Which coordinators are fenced: those that may set a heartbeat interval, found from the program alone."""
+"""A coordinator is fenced if it may set a heartbeat interval; the program alone decides this."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_coordinator_that_may_set_an_interval_is_fenced() -> None:
     assert fenced_classes(decode(encode(program))) == FENCED
 
 
-#: Without those that need a driver of their own, which may not be installed.
+#: Without the examples that contain a driver, because the driver may not be installed.
 EXAMPLES = [
     path
     for path in sorted(Path(__file__).parents[2].glob("examples/*/*.L"))

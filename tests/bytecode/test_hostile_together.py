@@ -1,7 +1,7 @@
 """A randomly changed program with `together`, `within`, `reserve`, `finally` is refused or harmless.
 
-Programs that the verifier accepts run on a machine. After every round all blocks must be sound, and no agent
-may have ended by a bug in lfield.
+Programs that the verifier accepts run on a machine. After every round all memory blocks must be sound, and no
+agent may have ended because of a bug in lfield.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SOUND = compile_text(
       portal lift(real height) emit real { sleep(1.0); return height; }
       portal name(string s) emit string { try { sleep(3.0); return s; } finally { n = n + 1; } }
       portal stop() { throw new DeviceException("stuck"); }
-      portal told(DeviceException e) { print(e.others().length()); }
+      portal report(DeviceException e) { print(e.others().length()); }
     }
     coordinator Boss {
       init(string[] arg) {
@@ -42,7 +42,7 @@ SOUND = compile_text(
             names[1] = arms[0].name("b"); inner(arms); names[2] = arms[1].name("a");
           }
         }
-        catch (DeviceException e) { arms[0].told(e); }
+        catch (DeviceException e) { arms[0].report(e); }
         catch (TimeLimitException e) { print(e.others().length()); }
         try { n = n + 1; } catch (Exception e) { n = e.others().length(); } finally { n = n + 2; }
         print(inner(arms));
@@ -67,81 +67,81 @@ ROUNDS = 60
 
 
 class ProgramMutator:
-    """Changes a program in a few places, mostly so that the types still fit."""
+    """Random changes of a program in a few places. After most changes the types still fit."""
 
     def __init__(self, seed: int) -> None:
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self.quads = list(SOUND.quads)
         self.methods = list(SOUND.core.methods)
 
     def core(self) -> Core:
         """The program, changed in up to three places."""
-        for _ in range(self.dice.choice([1, 1, 2, 3])):
-            self.dice.choice([self.operand, self.operand, self.operand, self.instruction, self.row])()
+        for _ in range(self.rng.choice([1, 1, 2, 3])):
+            self.rng.choice([self.operand, self.operand, self.operand, self.instruction, self.row])()
         return msgspec.structs.replace(SOUND.core, code=encode_quads(self.quads), methods=tuple(self.methods))
 
     def operand(self) -> None:
         """Replace an operand by another slot of the same type, null, or another jump target."""
-        at = self.dice.randrange(len(self.quads))
+        at = self.rng.randrange(len(self.quads))
         quad = list(self.quads[at])
         method = next(m for m in self.methods if m.entry <= at < m.end)
         operands = BY_CODE[quad[0]].operands
         spots = [i for i, operand in enumerate(operands) if operand.role in "DSVL"]
         if not spots:
             return
-        spot = self.dice.choice(spots)
+        spot = self.rng.choice(spots)
         quad[1 + spot] = self._other(method, operands[spot].role, quad[1 + spot])
         self.quads[at] = Quad(*quad)
 
     def _other(self, method: MethodRecord, role: str, number: int) -> int:
         if role == "L":
-            return self.dice.randrange(method.entry, method.end)
+            return self.rng.randrange(method.entry, method.end)
         if not 0 <= number < len(method.slots):
             return number
         same = [slot for slot, kind in enumerate(method.slots) if kind == method.slots[number]]
-        return self.dice.choice([*same, NULL])
+        return self.rng.choice([*same, NULL])
 
     def instruction(self) -> None:
         """Replace an instruction by another opcode, or by another instruction of the program."""
-        at, other = (self.dice.randrange(len(self.quads)) for _ in range(2))
-        code = self.dice.choice(TABLE).code
-        self.quads[at] = self.dice.choice([self.quads[at]._replace(op=code), self.quads[other]])
+        at, other = (self.rng.randrange(len(self.quads)) for _ in range(2))
+        code = self.rng.choice(TABLE).code
+        self.quads[at] = self.rng.choice([self.quads[at]._replace(op=code), self.quads[other]])
 
     def row(self) -> None:
         """Change or swap rows of a handler table."""
-        index = self.dice.choice([i for i, m in enumerate(self.methods) if m.handlers])
+        index = self.rng.choice([i for i, m in enumerate(self.methods) if m.handlers])
         method = self.methods[index]
         rows = list(method.handlers)
-        at, other = (self.dice.randrange(len(rows)) for _ in range(2))
+        at, other = (self.rng.randrange(len(rows)) for _ in range(2))
         rows[at], rows[other] = rows[other], rows[at]
-        word = self.dice.choice(["start", "end", "target", "slot", "kind"])
-        number = self.dice.randint(method.entry, method.end)
-        if word == "kind":
-            rows[at] = Handler(rows[at].start, rows[at].end, 0, 0, rows[at].slot, self.dice.randrange(5))
-        elif word == "slot":
-            rows[at] = msgspec.structs.replace(rows[at], slot=self.dice.randrange(len(method.slots)))
+        field = self.rng.choice(["start", "end", "target", "slot", "kind"])
+        number = self.rng.randint(method.entry, method.end)
+        if field == "kind":
+            rows[at] = Handler(rows[at].start, rows[at].end, 0, 0, rows[at].slot, self.rng.randrange(5))
+        elif field == "slot":
+            rows[at] = msgspec.structs.replace(rows[at], slot=self.rng.randrange(len(method.slots)))
         else:
-            rows[at] = msgspec.structs.replace(rows[at], **{word: number})
+            rows[at] = msgspec.structs.replace(rows[at], **{field: number})
         self.methods[index] = msgspec.structs.replace(method, handlers=tuple(rows))
 
 
 def run(program: Program) -> None:
-    """Run it for some rounds and check every block after each round."""
-    desk, clock = GoldenWorld(), ManualClock()
+    """Run the program for some rounds. Check every memory block after each round."""
+    world, clock = GoldenWorld(), ManualClock()
     team = team_for(program, TEAM)
-    machine = desk.machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
-    soundness = BlockVerifier(program, machine.layouts, [member.type for member in team])
+    machine = world.machine = Machine(program, MachineTeam(team, 0, 1), world, clock, random.Random(1))
+    block_verifier = BlockVerifier(program, machine.layouts, [member.type for member in team])
     for member in team:
         machine.start(member, AgentLimits(heap=1 << 16), generation=1)
     for _ in range(ROUNDS):
         pause = machine.run()
         for agent in machine.agents.values():
             if not agent.ended:
-                soundness.check_heap(bytes(agent.block.image()), agent.block.limit + 256)
+                block_verifier.check_heap(bytes(agent.block.image()), agent.block.limit + 256)
         if pause is None:
             break
         clock.advance(pause)
-    assert not [agent.report for agent in desk.endings if agent.report.startswith("bug in lfield")]
+    assert not [agent.report for agent in world.endings if agent.report.startswith("bug in lfield")]
 
 
 @pytest.mark.few(0)

@@ -1,4 +1,4 @@
-"""Every error of the verifier: a sound program, made unsound in one way."""
+"""Every error of the verifier: a sound program with one change that makes it unsound."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_invalid_types_are_refused(change: DraftChange, reason: str) -> None:
         (lambda d: d.change_class(TOOL, name="Box"), "same name"),
         (lambda d: d.change_class(BOX, name="x\x1b[2J"), "not an identifier"),
         (lambda d: d.change_class(BOX, kind="interface"), "unknown kind"),
-        (lambda d: d.change_class(BOX, usage="nobody"), "unknown kind"),
+        (lambda d: d.change_class(BOX, usage="thread"), "unknown kind"),
         (lambda d: d.change_class(TOOL, fields=(FieldRecord("a b", INT),)), "has the name"),
         (lambda d: d.change_class(TOOL, fields=(FieldRecord("a", 99),)), "no field can have"),
         (lambda d: d.change_class(TOOL, fields=(FieldRecord("a", VOID),)), "no field can have"),
@@ -192,24 +192,24 @@ def test_invalid_method_records_are_refused(change: DraftChange, reason: str) ->
     refused(change, reason)
 
 
-def _lift_takes(kind: int) -> DraftChange:
+def _lift_parameter(kind: int) -> DraftChange:
     return lambda d: d.change_method(ARM_LIFT, slots=(T_ARM, kind, REAL, INT, ANY))
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        _lift_takes(T_PROXY),
-        _lift_takes(T_PROXIES),
-        _lift_takes(T_TOOL),
-        _lift_takes(ANY),
+        _lift_parameter(T_PROXY),
+        _lift_parameter(T_PROXIES),
+        _lift_parameter(T_TOOL),
+        _lift_parameter(ANY),
         lambda d: d.change_method(ARM_LIFT, result=T_PROXY),
         lambda d: d.change_class(BOX, fields=(FieldRecord("value", INT), FieldRecord("next", T_PROXIES))),
         lambda d: d.change_class(BOX, fields=(FieldRecord("value", INT), FieldRecord("next", ANY))),
         lambda d: d.change_class(BOX, usage="coordinator"),
     ],
 )
-def test_types_of_one_side_cannot_cross_a_portal(change: DraftChange) -> None:
+def test_types_of_one_kind_of_agent_cannot_cross_a_portal(change: DraftChange) -> None:
     refused(change, "cannot cross")
 
 
@@ -217,12 +217,12 @@ def _with_core(**fields: object) -> DraftChange:
     def change(draft: Draft) -> None:
         core = draft.core()
         changed_core = Core(*(fields.get(f, getattr(core, f)) for f in Core.__struct_fields__))
-        draft.core = lambda: changed_core  # type: ignore[method-assign]  # the draft of this one test
+        draft.core = lambda: changed_core  # type: ignore[method-assign]  # only this draft
 
     return change
 
 
-def _moved(index: int, **fields: int) -> DraftChange:
+def _with_method(index: int, **fields: int) -> DraftChange:
     def change(draft: Draft) -> None:
         core = draft.core()
         methods = [*core.methods]
@@ -235,11 +235,11 @@ def _moved(index: int, **fields: int) -> DraftChange:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (_moved(0, entry=1), "gap or an overlap"),
-        (_moved(0, end=0), "gap or an overlap"),
-        (_moved(0, end=-1), "gap or an overlap"),
-        (_moved(0, end=4), "gap or an overlap"),
-        (_moved(6, end=1 << 40), "longer or shorter"),
+        (_with_method(0, entry=1), "gap or an overlap"),
+        (_with_method(0, end=0), "gap or an overlap"),
+        (_with_method(0, end=-1), "gap or an overlap"),
+        (_with_method(0, end=4), "gap or an overlap"),
+        (_with_method(6, end=1 << 40), "longer or shorter"),
         (_with_core(code=b""), "longer or shorter"),
         (lambda d: _with_core(code=d.core().code + b"\0" * 16)(d), "longer or shorter"),
         (lambda d: _with_core(code=d.core().code[:-1])(d), "longer or shorter"),
@@ -275,15 +275,15 @@ def test_a_handler_may_catch_a_class_of_the_program() -> None:
 def test_a_handler_of_exception_needs_a_slot_for_any_object() -> None:
     handler = (Handler(1, 3, 4, EXCEPTION, 2),)
     refused(lambda d: d.change_method(TOOL_SHOW, handlers=handler), "does not fit its slot")
-    other = (Handler(1, 3, 4, ARITHMETIC + 1, 2),)
-    refused(lambda d: d.change_method(TOOL_SHOW, handlers=other), "does not fit its slot")
+    unrelated = (Handler(1, 3, 4, ARITHMETIC + 1, 2),)
+    refused(lambda d: d.change_method(TOOL_SHOW, handlers=unrelated), "does not fit its slot")
 
 
 def test_a_handler_cannot_catch_an_agent() -> None:
     refused(handler(1, 4, 4, ARM, 4), "catches something that is not a class")
 
 
-def test_an_error_names_method_and_instruction() -> None:
+def test_an_error_has_the_method_and_the_instruction() -> None:
     draft = Draft()
     draft.put(BOX_SUM, 2, "move", 2, TRUE)
     with pytest.raises(ProgramFileError) as caught:
@@ -299,8 +299,8 @@ def test_null_fits_references_and_objects_fit_any() -> None:
     verify(draft.program())
 
 
-def _holds(method: int) -> Draft:
-    """A draft with a device field in the class of the resource, and a slot for a device in a method."""
+def _with_device(method: int) -> Draft:
+    """A draft with a device field in class Tool, and a slot for a device in a method."""
     draft = Draft()
     draft.change_class(TOOL, fields=(FieldRecord("grip", DEVICE),))
     draft.change_method(method, slots=(*draft.methods[method].slots, DEVICE))
@@ -308,7 +308,7 @@ def _holds(method: int) -> Draft:
 
 
 def test_a_resource_specific_class_may_have_a_device() -> None:
-    draft = _holds(TOOL_SHOW)
+    draft = _with_device(TOOL_SHOW)
     draft.put(TOOL_SHOW, 3, "getf", 3, 0, 0)
     verify(draft.program())
     draft.put(TOOL_SHOW, 3, "putf", 0, 0, 3)
@@ -340,13 +340,13 @@ def test_a_device_cannot_leave_its_resource() -> None:
         (put(ARM_INIT, 2, "move", 4, NOTHING), "does not fit the slot"),
         (put(ARM_INIT, 2, "eqnull", 4, 4), "wrong type"),
     ]:
-        draft = _holds(ARM_INIT)
+        draft = _with_device(ARM_INIT)
         change(draft)
         with pytest.raises(ProgramFileError, match=reason):
             verify(draft.program())
 
 
-def _compares_a_proxy_with(operand: int) -> Draft:
+def _proxy_compared_with(operand: int) -> Draft:
     draft = Draft()
     draft.change_method(GUIDE_INIT, slots=(*draft.methods[GUIDE_INIT].slots, BOOLEAN))
     draft.put(GUIDE_INIT, 18, "eqr", 7, 2, operand)
@@ -355,10 +355,10 @@ def _compares_a_proxy_with(operand: int) -> Draft:
 
 def test_a_proxy_is_compared_only_with_proxies() -> None:
     for operand in (2, NOTHING):
-        verify(_compares_a_proxy_with(operand).program())
+        verify(_proxy_compared_with(operand).program())
     for operand in (3, 4, 6):
         with pytest.raises(ProgramFileError, match="a proxy is compared with something else"):
-            verify(_compares_a_proxy_with(operand).program())
+            verify(_proxy_compared_with(operand).program())
 
 
 def test_the_instruction_table_is_consistent() -> None:

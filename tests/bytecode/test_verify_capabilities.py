@@ -1,4 +1,4 @@
-"""Capability classes and their queries: a sound program, and each error of the verifier."""
+"""Capability classes and their queries: a sound program is accepted, and each error is refused."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SOUND = compile_text(
       portal lift(real height) emit real { return height; }
       portal stop() { }
     }
-    coordinator Boss { init(string[] arg) { Lift[] who = findLift("payload > 1.0"); print(explainLift()); } }
+    coordinator Boss { init(string[] arg) { Lift[] all = findLift("payload > 1.0"); print(explainLift()); } }
     """,
     registry=REGISTRY,
 )
@@ -33,9 +33,9 @@ _FIELDS, _FACTS = SOUND.core.classes[LIFT].fields, SOUND.core.classes[OFFER].fie
 
 
 def test_encoding_and_decoding_keep_a_program() -> None:
-    again = decode(encode(SOUND))
-    assert again.core == SOUND.core
-    listing = disassemble(again)
+    decoded = decode(encode(SOUND))
+    assert decoded.core == SOUND.core
+    listing = disassemble(decoded)
     assert "capability Lift coordinator specific" in listing
     assert "offers, Lift" in listing
     assert "explain, Lift" in listing

@@ -1,4 +1,4 @@
-"""Futures and waits in a monitor: a sound program, and each error of the verifier."""
+"""Futures and waits in a monitor: a sound program is accepted, and each error is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of the verifier about growable arrays: a sound program, made unsound in one way."""
+"""Growable arrays: the verifier refuses a sound program with one change that makes it unsound."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_the_sound_program_is_accepted() -> None:
 )
 def test_invalid_uses_of_growable_arrays_are_refused(change: Change, reason: str) -> None:
     draft = draft_of(change)
-    if not reason:  # Null is of every type; the engines throw the exception.
+    if not reason:  # The verifier accepts null for every type; the engines throw the exception.
         verify(draft.program())
         return
     with pytest.raises(ProgramFileError, match=reason):
@@ -119,20 +119,20 @@ def test_an_init_may_take_a_growable_array() -> None:
     verify(draft_of(change).program())
 
 
-def test_an_array_from_the_machine_is_growable_if_the_program_has_that_type() -> None:
-    def grown(draft: Draft) -> None:
+def test_findall_returns_a_growable_array_if_the_program_has_that_type() -> None:
+    def with_type(draft: Draft) -> None:
         draft.types.append(TypeRecord(GROWABLE, T_PROXIES))
 
     with pytest.raises(ProgramFileError, match="does not fit the slot"):
-        verify(draft_of(grown).program())
+        verify(draft_of(with_type).program())
 
-    def fitting(draft: Draft) -> None:
-        grown(draft)
+    def with_type_and_slot(draft: Draft) -> None:
+        with_type(draft)
         method = draft.methods[GUIDE_INIT]
         slots = [len(draft.types) - 1 if kind == T_PROXIES else kind for kind in method.slots]
         draft.change_method(GUIDE_INIT, slots=tuple(slots))
 
-    verify(draft_of(fitting).program())
+    verify(draft_of(with_type_and_slot).program())
 
 
 @pytest.mark.parametrize("name", ["map<string, int>", "map<int, map<string, Box[]>>"])

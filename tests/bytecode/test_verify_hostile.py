@@ -1,4 +1,4 @@
-"""The verifier accepts a randomly changed program or raises ProgramFileError, nothing else."""
+"""For a randomly changed program, the verifier returns or raises ProgramFileError, and no other error."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_changed_byte_is_refused(at: int, change: int) -> None:
     data = bytearray(_file())
     data[at] ^= change
     if 6 <= at < 8 or (at == 4 and data[at] == encoding.OLD_VERSION):
-        return  # two bytes that are not used yet, or an older version, which is supported
+        return  # two unused bytes, or an older version, which is supported
     with pytest.raises(ProgramFileError):
         encoding.decode(bytes(data))
 
@@ -147,7 +147,7 @@ def test_a_truncated_file_is_refused(length: int) -> None:
 @given(st.binary(max_size=200))
 @settings(deadline=None)
 def test_random_bytes_are_refused(body: bytes) -> None:
-    """With a correct checksum, so that the records are decoded."""
+    """The checksum is correct, so lfield decodes the records."""
     header = encoding._HEADER.pack(
         encoding.MAGIC, encoding.VERSION, 0, hashlib.sha256(body).digest(), len(body)
     )
@@ -158,7 +158,7 @@ def test_random_bytes_are_refused(body: bytes) -> None:
 def _seconds(count: int) -> float:
     """Processor time to verify `count` jumps, handlers, and device calls.
 
-    Without the garbage collector, which would also visit objects left by other tests.
+    The garbage collector is off, because it would also visit objects of other tests.
     """
     draft = Draft()
     draft.code[1][2:2] = [("jmp", at + 3, 0, 0) for at in range(count)]
@@ -181,5 +181,5 @@ def _seconds(count: int) -> float:
 
 @pytest.mark.few(0)
 def test_verification_time_is_linear() -> None:
-    """Eight times the records take far less than the 64 times that a quadratic check would take."""
+    """Eight times the records take less than 30 times the time; a quadratic check would take 64 times."""
     assert min(_seconds(12_000) for _ in range(3)) < 30 * _seconds(1_500)

@@ -1,4 +1,4 @@
-"""Loops of resources: where they and their instructions are allowed."""
+"""Loops of resources: the places where the verifier allows them and their instructions."""
 
 from __future__ import annotations
 

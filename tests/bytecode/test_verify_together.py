@@ -1,4 +1,4 @@
-"""Parallel work, time limits, reservations, `finally`: a sound program, and each error of the verifier."""
+"""Parallel work, time limits, reservations, `finally`: each error in a sound program is refused."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ NUMBER = _slot(INT)
         (CODE.push("begin", 3, _slot(REALS)), "wrong type"),
         (CODE.push("begin", 2, _slot(INTS)), "wrong type"),
         (CODE.push("begin", 1, NUMBER), "wrong type"),
-        # begin of stop: it has no result
+        # begin of stop, which has no result
         (CODE.push("begin", 3, _slot(REALS), 1), "wrong type"),
         (
             CODE.put("begin", "begin", INIT),
@@ -207,7 +207,7 @@ OWN = compile_text(
     resource R {
       init(string[] arg) { Plain one = new Plain(); try { fail(new Boom(one.n)); } catch (Boom b) { } }
       private void fail(Exception e) { throw e; }
-      portal told(Boom boom) { }
+      portal report(Boom boom) { }
     }
     """
 )

@@ -1,4 +1,4 @@
-"""The server for AI assistants with a client of the package `mcp`, in one process and without hosts."""
+"""The server for AI assistants and a client of the package `mcp`, in one process and without hosts."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from lfield.errors import NoMissionRunning, OutputFileError
 if TYPE_CHECKING:
     from mcp.client.session import ClientSession
 
-#: Where no mission runs.
+#: A tool and its arguments. No mission runs in these tests.
 STATUS = ("status", {})
 
 
 class RecordedLog:
-    """The log lines, and a connection that fails with an error."""
+    """A server for assistants whose connection to the team fails with `error`, and its log lines."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
         # The package takes half a second to import, in each worker.
@@ -38,8 +38,8 @@ class RecordedLog:
     def _add(self, line) -> None:
         self.lines.append((line.code, str(line)))
 
-    async def run(self, story: Callable[[ClientSession, object], Awaitable[None]]) -> None:
-        """Run a story with a session of a client, and the stream of lines of that client."""
+    async def run(self, scenario: Callable[[ClientSession, object], Awaitable[None]]) -> None:
+        """Run `scenario` with the session of a client, and the stream of lines that the client sends."""
         from mcp.client.session import ClientSession
 
         to_server, server_in = anyio.create_memory_object_stream(16)
@@ -47,7 +47,7 @@ class RecordedLog:
         serving = asyncio.create_task(self.server.serve_streams(server_in, to_client))
         async with client_in, to_server, ClientSession(client_in, to_server) as session:
             await session.initialize()
-            await story(session, to_server)
+            await scenario(session, to_server)
         await serving
 
     def of(self, code: str) -> list[str]:
@@ -57,15 +57,15 @@ class RecordedLog:
 @pytest.mark.parametrize(
     ("error", "code"), [(NoMissionRunning("nothing runs"), "no-mission-running"), (KeyError("x"), "bug")]
 )
-def test_an_error_of_lfield_and_a_bug_are_results_and_logged_with_their_codes(monkeypatch, error, code):
+def test_lfield_error_and_bug_are_returned_and_logged_with_their_codes(monkeypatch, error, code):
     log = RecordedLog(monkeypatch, error)
 
-    async def story(session, _) -> None:
+    async def scenario(session, _) -> None:
         found = await session.call_tool(*STATUS)
         assert found.is_error
         assert json.loads(found.content[0].text)["code"] == code
 
-    asyncio.run(log.run(story))
+    asyncio.run(log.run(scenario))
     (ended,) = log.of("assistant-answered")
     assert f"ended: {code}: " in ended
 
@@ -80,21 +80,21 @@ def test_a_call_that_cannot_be_logged_is_not_executed(monkeypatch) -> None:
 
     log.server = AssistantServer(TeamSelection(), "anna", fail)
 
-    async def story(session, _) -> None:
+    async def scenario(session, _) -> None:
         found = await session.call_tool(*STATUS)
         assert json.loads(found.content[0].text)["code"] == OutputFileError.code
 
-    asyncio.run(log.run(story))
+    asyncio.run(log.run(scenario))
 
 
-def test_a_line_that_is_not_a_message_is_logged_and_the_next_one_is_answered(monkeypatch) -> None:
+def test_invalid_line_is_logged_and_the_next_request_is_answered(monkeypatch) -> None:
     log = RecordedLog(monkeypatch, NoMissionRunning("nothing runs"))
 
-    async def story(session, lines) -> None:
+    async def scenario(session, lines) -> None:
         await lines.send(ValueError("Invalid JSON\nat column 1"))
         assert (await session.call_tool(*STATUS)).is_error
 
-    asyncio.run(log.run(story))
+    asyncio.run(log.run(scenario))
     assert len(log.of("assistant-line-skipped")) == 1
     assert len(log.of("assistant-answered")) == 1
 
@@ -104,11 +104,11 @@ def test_a_request_that_the_protocol_refuses_is_logged_with_its_method(monkeypat
 
     log = RecordedLog(monkeypatch, NoMissionRunning("nothing runs"))
 
-    async def story(session, _) -> None:
+    async def scenario(session, _) -> None:
         with pytest.raises(MCPError):
             await session.list_resources()
 
-    asyncio.run(log.run(story))
+    asyncio.run(log.run(scenario))
     (refused,) = log.of("assistant-request-refused")
     assert "resources/list of assistant of anna (mcp)" in refused
 
@@ -117,9 +117,9 @@ def test_a_request_that_the_protocol_refuses_is_logged_with_its_method(monkeypat
 def test_every_argument_is_logged_and_answered(monkeypatch, value) -> None:
     log = RecordedLog(monkeypatch, NoMissionRunning("nothing runs"))
 
-    async def story(session, _) -> None:
+    async def scenario(session, _) -> None:
         found = await session.call_tool("call", {"agent": "a", "portal": "p", "arguments": [value]})
         assert json.loads(found.content[0].text)["code"] == "no-mission-running"
 
-    asyncio.run(log.run(story))
+    asyncio.run(log.run(scenario))
     assert len(log.of("assistant-called")) == len(log.of("assistant-answered")) == 1

@@ -1,4 +1,4 @@
-"""The attempts of a portal call, by the answers of the host to each."""
+"""The attempts of a portal call, and the answer of the host to each attempt."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ CUT = AddressError("alpha", "it closed the link without an answer")
         ([FULL, CUT, FULL, REVOKED], CallOutcomeUnknown),
     ],
 )
-def test_a_refusal_after_an_attempt_that_may_have_started_leaves_the_outcome_unknown(
+def test_a_refusal_after_a_possibly_started_attempt_leaves_the_outcome_unknown(
     monkeypatch, answers: list[Exception], kind: type[PortalCallError]
 ) -> None:
-    left = iter(answers)
+    remaining = iter(answers)
 
     async def send(*_: object) -> None:
-        raise next(left)
+        raise next(remaining)
 
     async def call() -> None:
         connection = TeamConnection(

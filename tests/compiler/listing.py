@@ -1,4 +1,4 @@
-"""The instructions of one method, as in the listing, numbered from its `frame`."""
+"""The instructions of one method as in the listing of a program; the `frame` of the method has number 0."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lfield.bytecode.program import MethodRecord, Program
 from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 
-#: Available to every test besides its own lines.
+#: A class that every test can use.
 _PRELUDE = """
 class Pair {
     public int a; public Pair next; public string name;
@@ -19,7 +19,7 @@ class Pair {
 
 
 def compiled(text: str, name: str = "test.L") -> Program:
-    """A program from L text; raises ProgramError."""
+    """A program compiled from L text. Raises ProgramError."""
     return compile_program(check_text(text, name).or_raise())
 
 

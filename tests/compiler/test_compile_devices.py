@@ -1,4 +1,4 @@
-"""Device fields and their instructions: from a driver's manifest to records of the program."""
+"""Device fields and device calls: the compiler writes records from the manifest of the driver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expressions write their values directly to their targets, and are evaluated in source order."""
+"""Expressions: they write their values directly to their targets, and they are evaluated in source order."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_discarded_result_is_popped() -> None:
 
 
 def test_the_target_is_written_last() -> None:
-    """`a` on the right still has its old value, in the call and after it."""
+    """On the right side, `a` has its old value, also after the call."""
     made = code("int a = 3; a = f(a) + a;", "private int f(int x) { return x; }")
     assert made[1:] == ["push, ^0", "push, ^2", "call, R.f(int)", "pop, ^3", "addi, ^2, ^3, ^2"]
 

@@ -1,4 +1,4 @@
-"""Compile time grows linearly with the program, and Python's garbage collector does not run meanwhile."""
+"""The time of a compilation is linear in the size of the program, and no garbage collection delays it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _members(members: str) -> str:
     return f"resource Part {{ init(string[] arg) {{ }} {members} }}"
 
 
-#: Programs of n parts of one kind.
+#: By kind of part: a program of n parts.
 SHAPES: dict[str, Callable[[int], str]] = {
     "statements": lambda n: _inside("".join(f"x = x * 3 + {i};\n" for i in range(n))),
     "one sum": lambda n: _inside("x = x" + "".join(f"\n+ {i}" for i in range(n)) + ";"),
@@ -47,7 +47,7 @@ def test_compile_time_is_linear(shape, steps):
 
 @pytest.fixture
 def collections():
-    """The generations of the garbage collections so far."""
+    """The list of the generations of all garbage collections since the start of the test."""
     runs = []
 
     def note(phase, info):

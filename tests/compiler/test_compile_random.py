@@ -1,7 +1,7 @@
-"""Random expressions give the same result compiled and run as in a small Python model.
+"""A random expression has the same result in a compiled program as in a small Python model.
 
-`t(n)` writes n and returns it, so the order of evaluation is compared as well as the value. An expression
-that fails must leave its target unchanged.
+`t(n)` writes n and returns n, so the tests also compare the order of evaluation. An expression that fails
+must not change its target.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Trace = list[str]
 
 
 class Trap(Exception):
-    """Stands for ArithmeticException."""
+    """The ArithmeticException of the model."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """An expression as L text, and its model."""
+    """An expression as L text and as a Python function."""
 
     text: str
     run: Callable[[Trace], int]
@@ -101,7 +101,7 @@ def _element(index: Term) -> Term:
 
 
 def _choice(condition: Term, left: Term, right: Term) -> Term:
-    """Through a method with an if, as L has no conditional expression; both operands are evaluated."""
+    """A call of a method with an if, because L has no conditional expression; it evaluates both operands."""
 
     def run(trace: Trace) -> int:
         chosen, one, other = condition.run(trace), left.run(trace), right.run(trace)
@@ -189,28 +189,28 @@ def _outcome(term: Term) -> Trace:
 @given(numbers())
 @settings(deadline=None, max_examples=60)
 def test_a_random_number_expression_has_the_right_value(term: Term) -> None:
-    desk, _ = run_text(_PROGRAM.format(statement=f"x = {term.text};"))
-    assert desk.output == _outcome(term)
+    world, _ = run_text(_PROGRAM.format(statement=f"x = {term.text};"))
+    assert world.output == _outcome(term)
 
 
 @given(numbers())
 @settings(deadline=None, max_examples=25)
 def test_an_expression_may_read_its_own_target(term: Term) -> None:
-    desk, _ = run_text(_PROGRAM.format(statement=f"x = sum(x, {term.text}) - x;"))
+    world, _ = run_text(_PROGRAM.format(statement=f"x = sum(x, {term.text}) - x;"))
     expected = _outcome(term)
     if expected[-2:] != ["trap", "42"] and int(expected[-1]) + 42 >= 1 << 63:
         expected = [*expected[:-1], "trap", "42"]
-    assert desk.output == expected
+    assert world.output == expected
 
 
 @given(conditions(), st.booleans())
 @settings(deadline=None, max_examples=60)
 def test_a_random_condition_has_the_right_value(term: Term, branch: bool) -> None:
-    """The same condition as a branch and as a value."""
+    """The condition is the condition of an if, or a value."""
     statement = (
         f"if ({term.text}) x = 1; else x = 0;"
         if branch
         else f"boolean v = {term.text}; if (v) x = 1; else x = 0;"
     )
-    desk, _ = run_text(_PROGRAM.format(statement=statement))
-    assert desk.output == _outcome(term)
+    world, _ = run_text(_PROGRAM.format(statement=statement))
+    assert world.output == _outcome(term)

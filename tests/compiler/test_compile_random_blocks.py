@@ -1,4 +1,4 @@
-"""Programs that pass the checker compile, and the verifier accepts them: nested blocks, left in any way."""
+"""The compiler and the verifier accept each program that the checker accepts: random nested blocks."""
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -40,14 +40,14 @@ def blocks(step: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
     heads = ["together", "within (i + 1)", "reserve (arm)", "while (i < 3)", "while (true)", "if (i < 3)"]
     one = st.tuples(st.sampled_from(heads), body).map(lambda parts: f"{parts[0]} {{ {parts[1]} }}")
     handled = st.sampled_from(["", "NullException", "TimeLimitException", "Exception"])
-    attempt = st.tuples(body, handled, body, st.none() | body).map(lambda parts: tried(*parts))
+    attempt = st.tuples(body, handled, body, st.none() | body).map(lambda parts: try_statement(*parts))
     return one | attempt
 
 
-def tried(body: str, handled: str, handler: str, last: str | None) -> str:
-    """A try with a catch, a finally, or both. A catch has a block of its own, for the name it binds.
+def try_statement(body: str, handled: str, handler: str, last: str | None) -> str:
+    """A try with a catch, a finally, or both. No other catch is in it, since all of them use the name `e`.
 
-    Jumps in the finally stay in it.
+    A jump in the finally does not leave the finally.
     """
     catch = f"catch ({handled} e) {{ {handler} }}" if handled and "catch (" not in body + handler else ""
     if last is None and catch:
@@ -59,7 +59,7 @@ def tried(body: str, handled: str, handler: str, last: str | None) -> str:
 
 
 def whole(body: str) -> str:
-    """A program with the body in a method without a result, and in one with a result."""
+    """A program with the body in a method without a result, and in a method with a result."""
     return UNITS.replace("BODY", body).replace("COUNTED", body.replace("return;", "return i;"))
 
 
@@ -75,11 +75,11 @@ def test_a_program_that_passes_the_checker_compiles_and_verifies(body: str) -> N
 
 
 def test_bodies_of_every_kind_pass_the_checker() -> None:
-    """Otherwise the property above would test nothing."""
+    """The test above checks only the programs that the checker accepts."""
     for body in (
         "together { arm.go(); x = arm.lift(1); a[i] = arm.lift(2); }",
         "while (true) { together { arm.go(); try { break; } finally { sleep(1); } } }",
-        tried("arm.go();", "Exception", "return;", "if (i < 3) { break; } continue; return;"),
+        try_statement("arm.go();", "Exception", "return;", "if (i < 3) { break; } continue; return;"),
         "reserve (arm) { while (true) { together { arm.go(); if (i < 3) break; } } }",
         "within (i + 1) { try { arm.go(); } catch (NullException e) { } finally { together { arm.go(); } } }",
     ):

@@ -91,7 +91,7 @@ def test_unreachable_code_is_not_compiled() -> None:
 
 
 def test_a_method_that_may_miss_its_return_ends_with_noreturn() -> None:
-    """As in `CacheTree.find` of appendix D, which has no return after its loop."""
+    """`CacheTree.find` of appendix D is such a method: it has no return after its loop."""
     program = compiled_body("", "private int f(int a) { while (a > 0) { return 1; } }")
     assert instructions(program, "R.f")[-1] == "noreturn"
 
@@ -235,7 +235,7 @@ def test_too_many_variables_are_an_error_of_their_method() -> None:
     ],
 )
 def test_the_deepest_nesting_the_parser_accepts_compiles(before: str, inside: str, after: str) -> None:
-    """The parser bounds nesting (L211), so no program overflows the stack of the compiler."""
+    """The parser limits the nesting (L211), so no program overflows the stack of the compiler."""
     innermost = {"": "yield();", "boolean b = ": "true"}.get(before, "1")
     members = "private int f(int i) { return i; }"
     for depth in range(10, 200, 10):

@@ -18,8 +18,8 @@ class Sum {
     public int a;
     public Sum(int a) { this.a = a; }
     public int get() { return a; }
-    public int told() { print(a); return a; }
-    public int deep() { return told(); }
+    public int printed() { print(a); return a; }
+    public int deep() { return printed(); }
 }
 """
 
@@ -31,8 +31,8 @@ def boss(body: str, members: str = "") -> str:
     )
 
 
-def heads(body: str) -> list[str]:
-    """The instructions of `work` that leave the engine or the method, by name."""
+def instruction_names(body: str) -> list[str]:
+    """The names of the instructions of `work` that call a method or a portal, or run in the machine."""
     words = ("gather", "begin", "start", "fetch", "leave", "limit", "hold", "take", "drop", "pcall", "call")
     words += ("print_int", "sleep")
     found = (line.split(",")[0] for line in instructions(compile_text(boss(body)), "Boss.work"))
@@ -74,7 +74,7 @@ def test_a_together_gathers_begins_and_fetches() -> None:
          "gather call begin call begin fetch leave"),
         ("together { int k = sum.get(); arm.lift(k); if (k > sum.get()) arm.stop(); }",
          "gather call begin call begin fetch leave"),
-        # Anything else starts them first.
+        # Any other statement starts the collected calls first.
         ("together { arm.stop(); print(1); arm.stop(); }",
          "gather begin start print_int begin fetch leave"),
         ("together { arm.stop(); sleep(1); }", "gather begin start sleep fetch leave"),
@@ -98,7 +98,7 @@ def test_a_together_gathers_begins_and_fetches() -> None:
     ],
 )  # fmt: skip
 def test_collected_calls_start_before_code_that_takes_time(body: str, expected: str) -> None:
-    assert heads(body) == expected.split()
+    assert instruction_names(body) == expected.split()
 
 
 def test_a_time_limit_is_a_handler_row() -> None:
@@ -114,7 +114,7 @@ def test_a_time_limit_is_a_handler_row() -> None:
     assert "limit ^3\n" in disassemble(compile_text(text))
 
 
-def test_an_empty_time_limit_has_no_row() -> None:
+def test_an_empty_time_limit_has_no_handler_row() -> None:
     assert "limit ^" not in disassemble(compile_text(boss("within (2) { }")))
 
 
@@ -154,13 +154,13 @@ def test_collected_calls_start_before_a_method_that_reserves() -> None:
 
 
 def test_all_exits_share_one_drop() -> None:
-    ways = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
-    assert heads(f"while (true) {{ reserve (arm) {{ {ways} }} }}") == ["hold", "take", "drop"]
+    exits = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
+    assert instruction_names(f"while (true) {{ reserve (arm) {{ {exits} }} }}") == ["hold", "take", "drop"]
 
 
 def test_the_code_of_a_finally_occurs_once() -> None:
-    ways = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
-    assert heads(f"while (true) {{ try {{ {ways} }} finally {{ print(7); }} }}") == ["print_int"]
+    exits = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
+    assert instruction_names(f"while (true) {{ try {{ {exits} }} finally {{ print(7); }} }}") == ["print_int"]
 
 
 def test_nested_finally_code_grows_linearly() -> None:
@@ -173,7 +173,7 @@ def test_nested_finally_code_grows_linearly() -> None:
     assert size(12) - size(8) == size(8) - size(4)
 
 
-def test_a_program_without_these_statements_has_none_of_their_code() -> None:
+def test_a_program_without_these_statements_has_no_code_of_them() -> None:
     program = compile_text(boss("try { arm.stop(); } catch (Exception e) { print(1); }"))
     assert {row.kind for method in program.core.methods for row in method.handlers} == {0}
     assert not {quad.op for quad in program.quads} & set(range(1600, 1700))

@@ -1,6 +1,6 @@
-"""The seven constructs of appendix B: their instructions here, and the printed opcode numbers.
+"""The seven constructs of appendix B: the instructions that lfield compiles, and the printed opcode numbers.
 
-Differences have their reason in lfield/docs/bytecode.md ("Differences to appendices B and J").
+The reasons of the differences are in lfield/docs/bytecode.md ("Differences to appendices B and J").
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ coordinator C {{
 }}
 """
 
-#: By construct: the statement, the instructions that the thesis prints, the method and its instructions here.
+#: By construct: the statement, the instructions in the thesis, the method, and its instructions in lfield.
 LISTINGS: dict[str, tuple[str, str, str, list[str]]] = {
     "assignment": ("i = i + 1;", "addi move", "R.init", ["addi, ^2, ^2, 1"]),
     "if": (
@@ -75,7 +75,7 @@ NUMBERS = {
     "find": 1300,
 }
 
-#: Printed instructions that are absent here, each with the instruction that replaces it.
+#: Instructions of the thesis that lfield does not compile, each with the instruction that replaces it.
 REPLACED = {
     "assignment": {"move": "addi"},
     "if": {"bnz": "bz", "move": "addi"},
@@ -105,8 +105,8 @@ def test_a_construct_compiles_to_these_instructions(construct: str) -> None:
 @pytest.mark.parametrize("construct", LISTINGS)
 def test_each_printed_instruction_occurs_or_has_a_replacement(construct: str) -> None:
     printed = set(LISTINGS[construct][1].split())
-    here = {line.partition(",")[0] for line in listing(construct)}
-    assert printed - here == REPLACED[construct].keys()
+    compiled_names = {line.partition(",")[0] for line in listing(construct)}
+    assert printed - compiled_names == REPLACED[construct].keys()
 
 
 def test_opcodes_have_the_printed_numbers() -> None:

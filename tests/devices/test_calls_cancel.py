@@ -1,4 +1,4 @@
-"""Calls that a host cancels, by the waiting thread."""
+"""A host cancels the device call of a thread: the thread that waits for the call identifies the call."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def start_call(calls: PendingDeviceCalls, instruction: Instruction, thread: int)
     return call.token, answers
 
 
-def test_call_of_the_waiting_thread_is_cancelled():
+def test_cancel_of_a_waiting_thread_cancels_its_call():
     calls = PendingDeviceCalls()
     start_call(calls, MOVE, 1)
     token, answers = start_call(calls, MOVE, 2)

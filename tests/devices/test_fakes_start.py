@@ -1,4 +1,4 @@
-"""A fake that does not start reports the missing extra or its last output."""
+"""The error for a fake that does not start names the missing extra, or has the last output of the fake."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lfield.errors import PluginError
 
 pytestmark = pytest.mark.process
 
-#: Simulates a computer without the extras: these modules are not found.
-WITHOUT = """
+#: A `sitecustomize.py` that simulates a computer without the extras: Python does not find these modules.
+WITHOUT_MODULES = """
 import sys
 from importlib.machinery import PathFinder
 find = PathFinder.find_spec
@@ -52,7 +52,7 @@ def binding(driver: str) -> DeviceBinding:
     )
 
 
-def refused(sims: Sims, driver: str) -> str:
+def start_error(sims: Sims, driver: str) -> str:
     """The error text of a fake that does not start."""
     with pytest.raises(PluginError) as error:
         asyncio.run(start_fake(sims, [binding(driver)]))
@@ -60,16 +60,16 @@ def refused(sims: Sims, driver: str) -> str:
 
 
 @pytest.fixture
-def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Started processes find no vendor library."""
+def without_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes that this test starts do not find the libraries of the vendors."""
     missing = {name for names in VENDORS.values() for name in names}
-    (tmp_path / "sitecustomize.py").write_text(WITHOUT.format(missing=missing), encoding="utf-8")
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT_MODULES.format(missing=missing), encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
 
 @pytest.mark.parametrize("driver", ["mavlink", "can"])
-def test_fake_without_its_library_names_the_extra(bare: None, driver: str) -> None:
-    output = refused(discover_sims(), driver)
+def test_error_of_a_fake_without_its_library_names_the_extra(without_libraries: None, driver: str) -> None:
+    output = start_error(discover_sims(), driver)
     assert output.startswith("sky.fc: the simulated device ")
     assert output.endswith(f"pip install 'lfield[{driver}]'")
 
@@ -77,7 +77,9 @@ def test_fake_without_its_library_names_the_extra(bare: None, driver: str) -> No
 @pytest.mark.few(3)
 @pytest.mark.parametrize("driver", VENDORS)
 @pytest.mark.parametrize("command", ["kit", "sim", "doctor"])
-def test_every_command_names_the_extra(bare: None, lfield_here, driver: str, command: str) -> None:
+def test_error_of_each_command_without_a_library_names_the_extra(
+    without_libraries: None, lfield_here, driver: str, command: str
+) -> None:
     kind = OPTIONS[driver][0]
     device = {"can": "--set=dbc=x.dbc"}.get(driver, "--set=ttl=1")
     (lfield_here.folder / "x.dbc").touch()
@@ -89,7 +91,7 @@ def test_every_command_names_the_extra(bare: None, lfield_here, driver: str, com
     if (command, driver) == ("sim", "dynamixel"):
         pytest.skip("this fake needs no library")
     status, output = lfield_here(*words)
-    # Without a mission a missing library is only a warning: it may not be needed.
+    # Without a mission a missing library is only a warning, because a mission may not need it.
     assert status == (0 if command == "doctor" else 69)
     assert f"pip install 'lfield[{driver}]'" in output
     assert "Traceback" not in output
@@ -97,7 +99,7 @@ def test_every_command_names_the_extra(bare: None, lfield_here, driver: str, com
 
 @pytest.fixture
 def lfield_here(tmp_path: Path):
-    """`lfield_here(*words)`: the status and the output of a command."""
+    """`lfield_here(*words)` runs a command and returns its exit status and its output."""
     import subprocess
 
     def run(*words: str) -> tuple[int, str]:
@@ -111,7 +113,7 @@ def lfield_here(tmp_path: Path):
     return run
 
 
-def made(folder: Path, body: str, monkeypatch: pytest.MonkeyPatch) -> Sims:
+def sims_with(folder: Path, body: str, monkeypatch: pytest.MonkeyPatch) -> Sims:
     """A fake that executes `body` when it runs."""
     text = f"""
     import sys
@@ -146,7 +148,7 @@ def made(folder: Path, body: str, monkeypatch: pytest.MonkeyPatch) -> Sims:
 def test_error_has_the_last_output_of_the_fake(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, words: str
 ) -> None:
-    output = refused(made(tmp_path, body, monkeypatch), "mavlink")
+    output = start_error(sims_with(tmp_path, body, monkeypatch), "mavlink")
     assert output == f"sky.fc: the simulated device 'mavlink' did not start{words}"
 
 
@@ -154,7 +156,7 @@ async def test_later_output_of_a_fake_is_forwarded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
     body = "print('early', file=sys.stderr); print('ready here', flush=True); sys.stdin.read(); "
-    sims = made(tmp_path, body + "print('late', file=sys.stderr)", monkeypatch)
+    sims = sims_with(tmp_path, body + "print('late', file=sys.stderr)", monkeypatch)
 
     await (await start_fake(sims, [binding("mavlink")])).stop()
     assert capsys.readouterr().err == "early\nlate\n"

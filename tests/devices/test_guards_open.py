@@ -1,4 +1,4 @@
-"""Refusals before any guard is started, bindings of fakes, and stops of all guards."""
+"""Errors before the start of any guard, bindings of fakes, and stops of all guards."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def test_two_drivers_for_one_port_are_refused(plugins):
     )
 
 
-def test_fault_options_of_a_fake_name_its_device():
-    soft = msgspec.structs.replace(SERVO, sim=["obstacle=-0.1", "unplug@2=true"])
-    assert fault_options([soft]) == ["--fault", "obstacle@arm.wrist=-0.1", "--fault", "unplug@2=true"]
+def test_fault_options_of_a_fake_have_the_name_of_the_device():
+    binding = msgspec.structs.replace(SERVO, sim=["obstacle=-0.1", "unplug@2=true"])
+    assert fault_options([binding]) == ["--fault", "obstacle@arm.wrist=-0.1", "--fault", "unplug@2=true"]
 
 
 def test_devices_file_sets_the_faults_of_a_fake(plugins, tmp_path):
@@ -107,24 +107,26 @@ class LateGuard:
         self.latched_devices.on_change()
 
 
-def test_two_emergency_stops_both_get_the_result(plugins):
-    async def story() -> float:
+def test_two_emergency_stops_both_return_the_result(plugins):
+    async def scenario() -> float:
         guards, loop = DeviceGuards(plugins, ManualClock(), print), asyncio.get_running_loop()
         guards._guards = [LateGuard(2.0)]
-        began = loop.time()
-        first, second = (asyncio.ensure_future(guards.emergency_stop(word)) for word in ("first", "second"))
+        start = loop.time()
+        first, second = (
+            asyncio.ensure_future(guards.emergency_stop(reason)) for reason in ("first", "second")
+        )
         assert await first == await second == {"arm.wrist": ""}
-        return loop.time() - began
+        return loop.time() - start
 
-    assert run_jumping(story()) == pytest.approx(2.0)
+    assert run_jumping(scenario()) == pytest.approx(2.0)
 
 
 def test_silent_device_is_not_reported_safe(plugins):
-    async def story() -> dict[str, str]:
+    async def scenario() -> dict[str, str]:
         guards = DeviceGuards(plugins, ManualClock(), print)
         guards._guards = [LateGuard(0.1, lost=3.0)]
         return await guards.emergency_stop("first")
 
-    assert run_jumping(story()) == {
+    assert run_jumping(scenario()) == {
         "arm.wrist": "it was in its safe state before, but no longer responds; last contact 9.0 s ago"
     }

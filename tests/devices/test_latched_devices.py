@@ -1,4 +1,4 @@
-"""The log of devices in their safe states names the action."""
+"""The log line of a device in its safe state has the action that the device does."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ ROVER = DeviceBinding(
 )
 def test_action_in_a_safe_state_is_logged(actions, state, shown) -> None:
     lines: list[LogLine] = []
-    pulse = HeartbeatJitter(JitterMonitor(JitterLimit(1.0)))
-    latched = LatchedDevices({"one.fc": ROVER}, SystemClock(), lines.append, pulse)
+    jitter = HeartbeatJitter(JitterMonitor(JitterLimit(1.0)))
+    latched = LatchedDevices({"one.fc": ROVER}, SystemClock(), lines.append, jitter)
     latched.set_actions(actions)
     for confirmed in (False, True):
         latched.on_message(Latched("one.fc", "fog", confirmed, state))
     assert [line.code for line in lines] == ["device-goes-safe", "device-safe"]
     assert [line.template_values["state"] for line in lines] == [shown, shown]
-    # Events and commands keep the name of the state.
+    # Events and commands have the name of the state.
     assert latched.state("one.fc") == (state or "land")

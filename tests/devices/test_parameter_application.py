@@ -1,4 +1,4 @@
-"""Parameter files written to a device: refused as a whole, backed up before, read back after."""
+"""Parameter files for a device: refused or written as a whole, with a backup before and a check after."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class Store(Lamp):
     """A device with two settings; if `coupled`, writing LEVEL changes COLOUR."""
 
     def __init__(self, *refusals, coupled=False, writes=10):
-        self.kept = {"LEVEL": 1.0, "COLOUR": 2.0}
+        self.stored = {"LEVEL": 1.0, "COLOUR": 2.0}
         self.refusals, self.coupled, self.writes = refusals, coupled, writes
 
     async def write_setting(self, name, value):
         if self.writes == 0:
             raise DeviceError("l", "it is gone")
         self.writes -= 1
-        self.kept[name] = value
+        self.stored[name] = value
         if self.coupled and name == "LEVEL":
-            self.kept["COLOUR"] = 0.0
+            self.stored["COLOUR"] = 0.0
 
     async def stored_settings(self, names):
-        return {name: self.kept[name] for name in names if name in self.kept}
+        return {name: self.stored[name] for name in names if name in self.stored}
 
     async def compare_settings(self, file, data):
         if data == b"gone":
@@ -62,7 +62,7 @@ def write(plan, folder):
     return lines
 
 
-def test_plan_lists_changes_unknown_kept_and_restart():
+def test_plan_lists_changed_unknown_and_kept_settings_and_the_restart():
     lines = list(plan(Store()).lines())
     assert lines[1:3] == ["    COLOUR from 2 to 6", "    LEVEL from 1 to 5"]
     assert "and 8 more" in lines[3]
@@ -72,7 +72,7 @@ def test_plan_lists_changes_unknown_kept_and_restart():
 def test_parameters_are_written_after_a_backup(tmp_path):
     store = Store()
     lines = write(plan(store), tmp_path / "own")
-    assert store.kept == {"LEVEL": 5.0, "COLOUR": 6.0}
+    assert store.stored == {"LEVEL": 5.0, "COLOUR": 6.0}
     (entry,) = read_backup(tmp_path / "own" / "setup-1.json")
     assert [(change.name, change.was, change.now) for change in entry.changes] == [
         ("COLOUR", 2.0, 6.0),

@@ -1,4 +1,4 @@
-"""Settings of devices: old values are saved first, and restored to the same device only."""
+"""Settings of devices: old values are saved first, and are restored only to the same device."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Lamp:
         self.binding = DeviceBinding(
             agent=name, field="l", type="Lamp", driver="lamp", endpoint=name, safe_state="off"
         )
-        self.kept = {"LEVEL": 1.0, "COLOUR": 2.0}
+        self.stored = {"LEVEL": 1.0, "COLOUR": 2.0}
         self.wanted = {"LEVEL": 5.0, "COLOUR": 6.0}
         self.writes, self.in_use, self.serial = writes, in_use, serial
 
     def found(self):
-        kept = [Setting(name, self.kept[name], self.wanted[name], "it is seen") for name in self.kept]
-        return FoundDevice(self, "a lamp", kept, self.serial)
+        stored = [Setting(name, self.stored[name], self.wanted[name], "it is seen") for name in self.stored]
+        return FoundDevice(self, "a lamp", stored, self.serial)
 
     def check_idle(self):
         if self.in_use:
@@ -43,7 +43,7 @@ class Lamp:
         if self.writes == 0:
             raise DeviceError("l", "it is gone")
         self.writes -= 1
-        self.kept[name] = value
+        self.stored[name] = value
 
     async def check_settings(self):
         pass
@@ -63,7 +63,7 @@ def set_up(folder, *lamps):
 
 
 def restore(entry, lamp):
-    """The names of the settings that are written, and the problems."""
+    """Restore a backup. Return the names of the written settings, and the problems."""
     plan = plan_restore(entry, lamp.found())
     return [change.name for change in plan.writes], asyncio.run(apply_restore(plan, print))
 
@@ -72,16 +72,16 @@ def test_old_values_are_saved_before_the_first_write(folder):
     lamp, other = Lamp(writes=1), Lamp("other")
     with pytest.raises(DevicesError, match=r"^lamp\.l: it is gone$"):
         set_up(folder, lamp, other)
-    # Only one of two settings was written, and the other device was set up nevertheless.
-    assert lamp.kept == {"LEVEL": 5.0, "COLOUR": 2.0}
-    assert other.kept == other.wanted
+    # Only one of the two settings was written; the other device was set up.
+    assert lamp.stored == {"LEVEL": 5.0, "COLOUR": 2.0}
+    assert other.stored == other.wanted
     entries = read_backup(folder / "setup-1.json")
     assert [entry.changes[1] for entry in entries] == [ParameterChange("COLOUR", 2.0, 6.0)] * 2
     lamp.writes = 10
     assert [restore(*pair) for pair in zip(entries, (lamp, other), strict=True)] == [
         (["LEVEL"], []), (["LEVEL", "COLOUR"], [])
     ]  # fmt: skip
-    assert lamp.kept == other.kept == OLD
+    assert lamp.stored == other.stored == OLD
     assert restore(entries[0], lamp) == ([], [])
 
 
@@ -90,7 +90,7 @@ def test_concurrent_backups_never_overwrite_each_other(folder):
         return [write_backup(folder, [BackupEntry(name, name, [], Lamp(name).binding)]) for _ in range(3)]
 
     with ThreadPoolExecutor() as pool:
-        paths = [path for some in pool.map(add, "abcdefgh") for path in some]
+        paths = [path for added in pool.map(add, "abcdefgh") for path in added]
     assert len(set(paths)) == 24
     assert sorted(read_backup(path)[0].identity for path in paths) == sorted("abcdefgh" * 3)
     assert newest_backup(folder) == folder / "setup-24.json"
@@ -98,23 +98,23 @@ def test_concurrent_backups_never_overwrite_each_other(folder):
 
 @pytest.mark.parametrize("serial", ["no 8", ""])
 def test_settings_are_not_restored_to_another_device(folder, serial):
-    mine, other = Lamp(), Lamp(serial=serial)
-    (entry,) = set_up(folder, mine)
-    other.kept = dict(mine.kept)
+    first, other = Lamp(), Lamp(serial=serial)
+    (entry,) = set_up(folder, first)
+    other.stored = dict(first.stored)
     writes, (problem,) = restore(entry, other)
     assert writes == []
     assert problem.startswith(f"lamp.l: a lamp{serial and ', '}{serial} is now at lamp, not a lamp, no 7")
-    assert other.kept == mine.kept
+    assert other.stored == first.stored
 
 
 def test_setting_changed_since_the_backup_is_not_restored(folder):
     lamp = Lamp(serial="")
     (entry,) = set_up(folder, lamp)
-    lamp.kept["LEVEL"] = 9.0
+    lamp.stored["LEVEL"] = 9.0
     writes, (problem,) = restore(entry, lamp)
     assert writes == ["COLOUR"]
     assert problem.startswith("lamp.l: LEVEL is 9, ")
-    assert lamp.kept == {"LEVEL": 9.0, "COLOUR": 2.0}
+    assert lamp.stored == {"LEVEL": 9.0, "COLOUR": 2.0}
 
 
 def test_failed_write_of_a_restore_is_reported(folder):
@@ -128,13 +128,13 @@ def test_no_setting_is_written_while_a_device_is_in_use(folder):
     lamp, shining = Lamp(), Lamp("shining", in_use=True)
     with pytest.raises(DevicesError, match=r"shining\.l: nothing was written: it shines"):
         set_up(folder, lamp, shining)
-    assert lamp.kept == OLD
+    assert lamp.stored == OLD
     assert newest_backup(folder) is None
     shining.in_use = False
     (entry,) = set_up(folder, shining)
     shining.in_use = True
     assert restore(entry, shining)[1] == ["shining.l: nothing was written: it shines"]
-    assert shining.kept == shining.wanted
+    assert shining.stored == shining.wanted
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"version": 1, "entries": []}', "[" * 10000])

@@ -1,4 +1,4 @@
-"""Every resource of a driver runs on a matching fake without a devices file."""
+"""Without a devices file, every resource of a driver runs on a fake of the correct kind."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_stock_resource_opens_on_a_fake_of_its_kind(tmp_path: Path, include: str
 
 
 def test_bundle_keeps_the_kind_of_a_fake(tmp_path: Path) -> None:
-    """A robot has neither L files nor manifests; the bundle contains the required data."""
+    """A robot has no L files and no manifests; the bundle contains the necessary data."""
     built = stock_mission(tmp_path, "mavlink/rover.L")
     read = bundle.decode(bundle.encode(built))
     unbound = read.with_bindings(type(read.bindings)()).on_fakes()
@@ -88,7 +88,7 @@ def test_bound_device_gives_no_warning(tmp_path: Path) -> None:
     assert mission(tmp_path, "resource Boat { Mavlink d; init(string[] arg) { } }\n", "Boat").warnings == ()
 
 
-def test_missing_option_without_default_is_requested(tmp_path: Path) -> None:
+def test_missing_option_without_default_is_an_error(tmp_path: Path) -> None:
     program = "resource Jaw { CanSignals jaw; init(string[] arg) { } }\n"
     with pytest.raises(BindingError) as error:
         mission(tmp_path, program, "Jaw")

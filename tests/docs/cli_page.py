@@ -1,6 +1,6 @@
 """The page of all commands, from their argument parsers: `python tests/docs/cli_page.py --write`.
 
-The text is not made by argparse, whose layout differs between versions of Python.
+This module formats the text itself, because the layout of argparse differs between versions of Python.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _section(title: str, command: argparse.ArgumentParser, level: int) -> str:
 
 
 def _actions_of(command: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """The subcommands of a command, such as `keys init`; those without a description get their help."""
+    """The subcommands of a command, such as `keys init`. Without a description they get their help."""
     for action in command._actions:
         if isinstance(action, argparse._SubParsersAction):
             helps = {each.dest: each.help for each in action._choices_actions}
@@ -88,8 +88,8 @@ def _meaning(action: argparse.Action) -> str:
 
 
 def _sentence(text: str | None) -> str:
-    said = " ".join((text or "").split())
-    return said if said.endswith(".") or not said else f"{said[0].upper()}{said[1:]}."
+    sentence = " ".join((text or "").split())
+    return sentence if sentence.endswith(".") or not sentence else f"{sentence[0].upper()}{sentence[1:]}."
 
 
 def _cell(text: str) -> str:

@@ -1,17 +1,18 @@
 """The fenced blocks of the documents: their place, their kind, and their content.
 
-The words behind the fence state the kind of a block, visible in the page's source:
+The words after the opening fence state the kind of a block. Only the source of the page shows them:
 
-    java FILE.L            a whole program; the file's name may be left out; `wrong` behind it: bad
-    java statements        of a method; `of TYPE NAME` gives it a device: `java statements of Mavlink fc`
-    text FILE.dL           a deployment, `of PROGRAM.L` if it is not that of the same name
-    yaml FILE.SUFFIX       a devices file (`.devices.yaml`) or a registry; without a name the keys tell which
-    yaml device DRIVER     devices of an agent; `yaml options DRIVER`: keys of one device
-    sh                     lines for a shell; each ends with 0, or as its comment says: `# status 65`
-    text output            what the lines before it print, or those of its own that begin with `$ `; figures
-                           aside; `...` stands for any lines
-    text drawing           nothing to run
-    python json ebnf mermaid udev    what they say
+    java FILE.L            a whole program; the file name is optional; `wrong` after it: an error is expected
+    java statements        statements of a method; `of TYPE NAME` adds a device: `statements of Mavlink fc`
+    text FILE.dL           a deployment, with `of PROGRAM.L` if its program has another name
+    yaml FILE.SUFFIX       a devices file (`.devices.yaml`) or a registry; without a name, its keys decide
+    yaml device DRIVER     devices of an agent
+    yaml options DRIVER    keys of one device
+    sh                     shell commands; the exit status is 0, or the one in the comment: `# status 65`
+    text output            the output of the commands before it, or of its own lines that begin with `$ `;
+                           figures may differ, and `...` stands for any lines
+    text drawing           a drawing in characters
+    python json ebnf mermaid udev    text in this language
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _OPENING = re.compile(r"^((?:[ >]|[-*+] |[0-9]+[.)] )*)(`{3,}|~{3,})([^`]*)$")
 
 @dataclass(frozen=True)
 class Block:
-    """One fenced block; `line` is that of its fence, `text` without the indentation of the fence."""
+    """One fenced block: `line` is the line of its fence, `text` has no indentation of the fence."""
 
     page: str
     line: int
@@ -43,22 +44,22 @@ class Block:
 
     @property
     def language(self) -> str:
-        """The first word behind the fence."""
+        """The first word after the fence."""
         return self.info.partition(" ")[0]
 
     @property
     def words(self) -> list[str]:
-        """The other words."""
+        """The words after the first one."""
         return self.info.split()[1:]
 
     @property
     def file(self) -> str:
-        """The name of the file that the block is, or ''."""
+        """The file name of the block, or ''."""
         return self.words[0] if self.words and "." in self.words[0] else ""
 
 
 def blocks_of(page: str, text: str) -> Iterator[Block]:
-    """Every fenced block of a page, in order. An unclosed one ends with the page."""
+    """Every fenced block of a page, in order. A block without a closing fence ends at the end of the page."""
     lines = iter(enumerate(text.splitlines(), 1))
     for number, line in lines:
         opening = _OPENING.match(line)
@@ -75,12 +76,12 @@ def blocks_of(page: str, text: str) -> Iterator[Block]:
 
 
 def _without(margin: str, line: str) -> str:
-    """A line without the margin of its fence, as far as present."""
+    """A line without the margin of its fence, or without the part of the margin that it has."""
     return line[: len(margin)].lstrip(" >") + line[len(margin) :]
 
 
 def pages() -> list[str]:
-    """Every tracked page, from the root of the repository."""
+    """The paths of all tracked pages, relative to the root of the repository."""
     listed = subprocess.run(
         ["git", "ls-files", "*.md", "*.md.in"], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -88,13 +89,13 @@ def pages() -> list[str]:
 
 
 def blocks_by_page() -> dict[str, list[Block]]:
-    """The blocks of every page that has some."""
+    """The blocks of each page that has at least one block."""
     found = {page: list(blocks_of(page, (ROOT / page).read_text(encoding="utf-8"))) for page in pages()}
     return {page: blocks for page, blocks in found.items() if blocks}
 
 
 def shell_lines(text: str) -> list[str]:
-    """The command lines of a block: continued ones joined, without comments of their own and prompts."""
+    """The command lines of a block: continued lines are joined, comment lines and prompts are removed."""
     lines = text.replace("\\\n", " ").splitlines()
     return [line.removeprefix("$ ") for line in lines if line.strip() and not line.lstrip().startswith("#")]
 

@@ -1,4 +1,4 @@
-"""The check of a block by its words: each returns a sentence for every error."""
+"""The checks of blocks, by the words after the fence. Each check returns a sentence for each error."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _STATUS = re.compile(r"#.*\bstatus (\d+)")
 
 
 def sentences(work: Callable[[], object]) -> Problems:
-    """The errors that lfield raises in a function, each finding rendered."""
+    """The errors that lfield raises in a function: a text for each finding."""
     try:
         work()
     except ProgramError as error:
@@ -51,7 +51,7 @@ def sentences(work: Callable[[], object]) -> Problems:
 
 
 def program(block: Block, folder: Path) -> Problems:
-    """L: a whole program, or statements in a method of a resource that has their device."""
+    """L: a whole program, or statements of a method of a resource with the device that they need."""
     text = block.text
     if block.words[:1] == ["statements"]:
         text = _around(block)
@@ -71,7 +71,7 @@ def program(block: Block, folder: Path) -> Problems:
 
 
 def _around(block: Block) -> str:
-    """Statements as a program: in a resource with the device they name, else in a coordinator."""
+    """A program with these statements in a resource with their device, or in a coordinator without one."""
     kind, field = (
         ("resource", f"{' '.join(block.words[2:])};") if block.words[1:2] == ["of"] else ("coordinator", "")
     )
@@ -79,7 +79,7 @@ def _around(block: Block) -> str:
 
 
 def plain_text(block: Block, folder: Path) -> Problems:
-    """A deployment; the output of programs is compared where they run."""
+    """A deployment. The test that runs the commands compares the output of programs."""
     if block.file.endswith(".dL"):
         path = folder / block.file
         program = folder / block.words[2] if block.words[1:2] == ["of"] else path.with_suffix(".L")
@@ -91,7 +91,7 @@ def plain_text(block: Block, folder: Path) -> Problems:
     return []
 
 
-#: An endpoint of each driver whose options a page shows.
+#: By driver: an endpoint for the options that a page shows.
 ENDPOINTS = {
     "mavlink": "udp:127.0.0.1:14550",
     "can": "socketcan:can0",
@@ -100,7 +100,7 @@ ENDPOINTS = {
 
 
 def yaml(block: Block, folder: Path) -> Problems:
-    """A manifest, registry or bindings, read as lfield does; bound devices are opened on their fakes."""
+    """A manifest, a registry or bindings, read by lfield. The check opens bound devices on their fakes."""
     words, text = block.words, block.text
     if words[:1] == ["device"]:
         text = "agents:\n  page:\n    devices:\n" + textwrap.indent(textwrap.dedent(text), " " * 6)
@@ -125,7 +125,7 @@ def yaml(block: Block, folder: Path) -> Problems:
 
 
 def _unreadable(text: str) -> Problems:
-    """Why a text is not YAML with a mapping or a list."""
+    """The error of a text that is not YAML with a mapping or a list."""
     try:
         found = parsed.safe_load(text)
     except parsed.YAMLError as error:
@@ -134,7 +134,7 @@ def _unreadable(text: str) -> Problems:
 
 
 def _bound(path: Path) -> list[DeviceBinding]:
-    """The devices of a bindings file on their fakes: for its mission, else with its own drivers."""
+    """The devices of a bindings file on their fakes: of its mission if there is one, else of its drivers."""
     deployment = path.with_name(path.name.removesuffix(".devices.yaml") + ".dL")
     plugins = discover()
     if deployment.exists():
@@ -151,7 +151,7 @@ def _bound(path: Path) -> list[DeviceBinding]:
 
 
 def opened(devices: list[DeviceBinding]) -> Problems:
-    """Problems of opening these devices on fakes, such as a watchdog that is too slow; on virtual time."""
+    """The problems when these devices are opened on fakes in virtual time, such as a slow watchdog."""
     found: Problems = []
     for device in devices:
         desk, sim = Desk(), sims_of({device.driver})[device.driver]
@@ -186,7 +186,7 @@ def python(block: Block, folder: Path) -> Problems:
 
 
 def grammar(block: Block, folder: Path) -> Problems:
-    """Grammar rules name existing rules; character rules, in capitals, are partly prose and are skipped."""
+    """Each rule that a grammar rule names exists. Rules in capitals are partly prose, and are not checked."""
     text = re.sub(r"\(\*.*?\*\)|'[^']*'|\"[^\"]+\"", "", block.text)
     text = re.split(r"^[A-Z]+ ", text, maxsplit=1, flags=re.MULTILINE)[0]
     rules = dict(re.findall(r"^(\w+)\s+=((?:.|\n(?!\w))*)", text, re.MULTILINE))
@@ -195,7 +195,7 @@ def grammar(block: Block, folder: Path) -> Problems:
 
 
 def diagram(block: Block, folder: Path) -> Problems:
-    """A state diagram of arrows with a label each."""
+    """A state diagram whose lines are arrows with a label."""
     head, *lines = block.text.splitlines()
     problems = [] if head == "stateDiagram-v2" else [f"there is no rule for a '{head}'"]
     return problems + [
@@ -206,7 +206,7 @@ def diagram(block: Block, folder: Path) -> Problems:
 
 
 def udev(block: Block, folder: Path) -> Problems:
-    """Rules of udev: matches and assignments."""
+    """Rules of udev: comma-separated matches and assignments."""
     rule = re.compile(r'[A-Z]+(\{\w+\})?(==|=|\+=)"[^"]*"')
     return [
         f"no rule: {line}"
@@ -216,19 +216,19 @@ def udev(block: Block, folder: Path) -> Problems:
 
 
 def shell(block: Block, folder: Path) -> Problems:
-    """Command lines of lfield parse, whether or not they are run here."""
+    """The parser of lfield accepts its command lines, also those that no test runs."""
     problems = []
     for line in shell_lines(block.text):
         for words in _COMMAND.findall(line):
             try:
-                understand(words)
+                parse_command(words)
             except ValueError as error:
                 problems.append(f"{line}: {error}")
     return problems
 
 
 class Strict(argparse.ArgumentParser):
-    """A parser that raises instead of ending the process, and takes no abbreviated options."""
+    """A parser that raises ValueError instead of SystemExit, and refuses abbreviated options."""
 
     def __init__(self, **options: object) -> None:
         super().__init__(**{"prog": "lfield", **options, "allow_abbrev": False})  # type: ignore[arg-type]
@@ -237,26 +237,26 @@ class Strict(argparse.ArgumentParser):
         raise ValueError(message)
 
 
-def understand(line: str) -> None:
-    """Parse a command line, without `lfield`, as the command would; raises ValueError."""
+def parse_command(line: str) -> None:
+    """Parse the words after `lfield` with the parser of the command. Raises ValueError."""
     name, *words = shlex.split(line, comments=True)
     if name not in COMMANDS:
         raise ValueError(f"there is no subcommand '{name}'")
     if name in ("sim", "kit") and {"lamp", "gps", "planner", "$name"}.intersection(words):
-        # A driver that the preceding lines have made or installed.
+        # The preceding lines of the page created or installed this driver.
         return
     parser = Strict()
     import_module(MODULES[name]).add_arguments(parser)
     parser.parse_args(words)
 
 
-def wanted_status(line: str) -> int:
-    """The expected status of a line."""
-    said = _STATUS.search(line)
-    return int(said[1]) if said else 0
+def expected_status(line: str) -> int:
+    """The expected exit status of a line."""
+    found = _STATUS.search(line)
+    return int(found[1]) if found else 0
 
 
-#: By the first word behind the fence.
+#: By the first word after the fence.
 CHECKS: Mapping[str, Check] = {
     "java": program,
     "text": plain_text,
@@ -271,7 +271,7 @@ CHECKS: Mapping[str, Check] = {
 
 
 def problems_of(block: Block, folder: Path) -> Problems:
-    """All errors of a block, each with its place."""
+    """All errors of a block, each after the page and line of the block."""
     check = CHECKS.get(block.language)
     if check is None:
         return [f"{block.place}: there is no rule for a block of '{block.info}'"]
@@ -281,14 +281,14 @@ def problems_of(block: Block, folder: Path) -> Problems:
     return [f"{block.place}: {problem}" for problem in check(block, folder)]
 
 
-def missing_lines(wanted: str, said: str) -> Problems:
-    """The lines of a block of output that were not printed; figures are ignored."""
-    heard = {_plain(line) for line in said.splitlines()}
+def missing_lines(wanted: str, output: str) -> Problems:
+    """The lines of a block of output that a command did not print. Figures are ignored."""
+    printed = {_plain(line) for line in output.splitlines()}
     lines = [line for line in wanted.splitlines() if line.strip() and line.strip() != "..."]
     return [
         f"was not printed: {line}"
         for line in lines
-        if not line.startswith("$ ") and _plain(line) not in heard
+        if not line.startswith("$ ") and _plain(line) not in printed
     ]
 
 

@@ -1,19 +1,19 @@
-"""Lines of the documents that their test does not run, with the reason; files that pages need.
+"""Lines of the documents that the tests do not run, each with the reason; and files that pages need.
 
-A line that no page has any more must be removed here too: a test checks it.
+A test fails if a line in this module is on no page.
 """
 
 from __future__ import annotations
 
-#: Reasons of several lines.
-SUITE = "it would run these tests, or hours of them"
+#: Reasons that several lines share.
+SUITE = "runs these tests again, or tests that take hours"
 HARDWARE = "hardware: a port or a bus of the robot"
 INSTALLS = "installs software on the system"
-NETWORK = "changes the network of the computer: tried in two network namespaces"
-SIMULATOR = "needs the autopilots' own simulators: tests/sitl runs them where they are given"
-SERVICE = "needs systemd, and a robot that is set up"
-LONG = "runs for minutes: "
-RUNNING = "about a mission that runs: "
+NETWORK = "changes the network of the computer; tried in two network namespaces"
+SIMULATOR = "needs the simulators of the autopilots: tests/sitl runs them if they are installed"
+SERVICE = "needs systemd and a robot with lfield"
+LONG = "takes minutes: "
+RUNNING = "needs a running mission: "
 INSPECT = RUNNING + "tests/cli/operations/test_ps_and_inspect.py"
 QUERY = RUNNING + "tests/cli/operations/test_query.py"
 TEAM = RUNNING + "tests/cli/operations"
@@ -21,16 +21,16 @@ WATCH = RUNNING + "tests/cli/watch/test_watch.py"
 EXAMPLES = LONG + "tests/cli/run/test_thesis_and_examples.py runs it"
 TUTORIAL = LONG + "tests/docs/test_getting_started.py runs it"
 SURVIVES = LONG + "tests/cli/run/test_mission_survives.py runs it"
-DRIVER = "a driver of its own: tests/cli/device/test_driver_new.py makes and tries one"
-SETUP = "writes to a vehicle, after a yes: tests/cli/device/test_setup_command.py"
-GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
-TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
-FORMATION = LONG + "examples/20-formation/test_formation.py flies the same on virtual time"
-ARM = LONG + "examples/07-so101-arm/test_so101_arm.py runs it on virtual time"
-SURVEY = LONG + "examples/08-survey/test_survey.py does the same on virtual time"
-RESCUE = LONG + "examples/06-search-and-rescue/test_search_and_rescue.py does the same on virtual time"
-ARENA = "installs a driver of its own: 21-box-pushing, 22-predators and 23-soccer have their own tests"
-KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
+DRIVER = "needs a new driver: tests/cli/device/test_driver_new.py creates and runs one"
+SETUP = "writes to a vehicle after a confirmation: tests/cli/device/test_setup_command.py"
+GPS = "installs a driver: examples/20-gps-driver/tests runs its fake and its kit"
+TIERS = "installs a driver: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
+FORMATION = LONG + "examples/20-formation/test_formation.py runs the mission in virtual time"
+ARM = LONG + "examples/07-so101-arm/test_so101_arm.py runs it in virtual time"
+SURVEY = LONG + "examples/08-survey/test_survey.py runs the mission in virtual time"
+RESCUE = LONG + "examples/06-search-and-rescue/test_search_and_rescue.py runs it in virtual time"
+ARENA = "installs a driver: 21-box-pushing, 22-predators and 23-soccer have their own tests"
+KIT = "listens on a fixed port: tests/kits runs every kit with every fake"
 
 #: By page: command lines, and first lines of outputs.
 EXCEPTIONS: dict[str, dict[str, str]] = {
@@ -113,8 +113,8 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "ssh alpha sudo chown -R lfield: /etc/lfield/keys/alpha": SERVICE,
     },
     "deploy/README.md": {
-        "lfield keys init --person anna": "makes the keys of this user: tests/cli/development tries it",
-        "lfield provision": "installs software on robots: tests/provision tries it",
+        "lfield keys init --person anna": "creates keys of this user: tests/cli/development runs it",
+        "lfield provision": "installs software on robots: tests/provision runs it",
         "lfield push deploy/two-copters/mission.dL --program examples/01-first-flight/mission.L": SERVICE,
         "lfield start": SERVICE,
         "lfield status": SERVICE,
@@ -247,7 +247,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
         "and the shortest possible silence is 0.3 s: "
         "reduce the load of "
-        "this computer, give its guards": "a computer that is late: tests/devices/test_late_computer.py",
+        "this computer, give its guards": "needs a slow computer: tests/devices/test_jitter_measurement.py",
         'lfield estop --reason "person on the field"': TEAM,
         "lfield estop mission.lfm": TEAM,
         "stopping tour-0a1b2c3d: alpha, bravo": TEAM,
@@ -294,7 +294,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
 }
 
-#: By page: files of the repository that it names differently. A folder is a mission.
+#: By page: files of the page, each with the file of the repository that has its content.
 FILES: dict[str, dict[str, str]] = {
     "lfield/docs/operations.md": {
         "mission.L": "examples/02-equivalent-lift/mission.L",

@@ -1,6 +1,6 @@
 """The page of all errors, diagnostics and log lines by code: `python tests/docs/messages_page.py --write`.
 
-It is made from the classes of `lfield/errors.py` and the tables of the diagnostics and of the log.
+The sources are the classes of `lfield/errors.py` and the tables of the diagnostics and of the log.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def error_classes(root: type[LfieldError] = LfieldError) -> Iterator[type[Lfield
 
 def _errors() -> Iterator[tuple[str, ...]]:
     for each in error_classes():
-        # What follows is about the attributes.
+        # The rest of the docstring is about the attributes.
         meaning = re.split(r"; |: `|\n", each.__doc__ or "")[0].rstrip(".")
         status = "" if each is SystemRefusal else str(each.exit_status)
         yield f"`{each.code}`", status, meaning, each.remedy
@@ -123,7 +123,7 @@ def _findings(kinds: Iterable[FindingKind]) -> Iterator[tuple[str, ...]]:
 
 
 def _plain(template: str) -> str:
-    """A template as text: a doubled brace stands for one."""
+    """A template as text, with single braces instead of doubled ones."""
     return template.replace("{{", "{").replace("}}", "}")
 
 

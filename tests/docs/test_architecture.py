@@ -1,4 +1,4 @@
-"""The architecture page names existing files and functions; its packages are those of the diagram."""
+"""The architecture page names existing files and functions, and the packages of the diagram."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STEP = re.compile(r"(\d+)\. \[`([^`]+)`\]\(([^)]+)\) `([^`]+)`: \S")
 _PACKAGE = re.compile(r"\| `(\w+)` \|")
 
 
-#: A row of the table of places: topic, module with link, class or method.
+#: A row of the table "Where is it implemented?": topic, module with link, class or method, remark.
 _PLACE = re.compile(r"\| [^|]+ \| \[`([^`]+)`\]\(([^)]+)\) \| `([^`]+)` \| [^|]+ \|")
 #: Topics that the table must contain.
 _TOPICS = ("**hop**", "**stop**", "**lease**", "**revocation**", "**journal write**")
@@ -56,7 +56,7 @@ def numbered(text: str) -> list[str]:
 
 
 def steps(walk: str) -> list[Step]:
-    """The steps of a walk; each numbered line must be one."""
+    """The steps of a walk. Fails if a numbered line is not a step."""
     found = []
     for line in numbered(section(walk, level=3)):
         step = _STEP.match(line)
@@ -65,8 +65,8 @@ def steps(walk: str) -> list[Step]:
     return found
 
 
-def says(path: Path, name: str) -> bool:
-    """Whether a file defines a name (`Class.method` in that class), or contains it as a word."""
+def contains_name(path: Path, name: str) -> bool:
+    """Whether a file defines `Class.method`, or contains a name without a dot as a word."""
     text = path.read_text(encoding="utf-8")
     if "." in name:
         return name in set(defined(ast.parse(text).body))
@@ -83,20 +83,20 @@ def defined(body: list[ast.stmt], prefix: str = "") -> Iterator[str]:
 
 
 @pytest.mark.parametrize("walk", WALKS)
-def test_walk_leads_through_existing_files(walk: str) -> None:
+def test_steps_of_a_walk_name_existing_files_and_names(walk: str) -> None:
     path = steps(walk)
     assert path[0].number == 1
-    # A part of a walk that begins at another place is counted from 1 again.
+    # The numbers of a part of a walk that starts at another module start at 1.
     assert all(after.number in (before.number + 1, 1) for before, after in pairwise(path))
     missing = [step.path for step in path if not (ROOT / step.path).is_file()]
     assert missing == []
     wrong = [step.link for step in path if (PAGE.parent / step.link).resolve() != ROOT / step.path]
     assert wrong == []
-    unknown = [f"{step.path}: {step.name}" for step in path if not says(ROOT / step.path, step.name)]
+    unknown = [f"{step.path}: {step.name}" for step in path if not contains_name(ROOT / step.path, step.name)]
     assert unknown == []
 
 
-def test_table_of_places_names_existing_code() -> None:
+def test_implementation_table_names_existing_code() -> None:
     table = section("Where is it implemented?")
     rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
     places = [_PLACE.fullmatch(row) for row in rows]
@@ -105,7 +105,10 @@ def test_table_of_places_names_existing_code() -> None:
         place[0]
         for place in places
         if place
-        and ((PAGE.parent / place[2]).resolve() != ROOT / place[1] or not says(ROOT / place[1], place[3]))
+        and (
+            (PAGE.parent / place[2]).resolve() != ROOT / place[1]
+            or not contains_name(ROOT / place[1], place[3])
+        )
     ]
     assert wrong == []
     assert [topic for topic in _TOPICS if topic not in table] == []
@@ -129,7 +132,9 @@ def test_architecture_page_shows_the_diagram() -> None:
 def test_names_are_found_where_they_are_defined(tmp_path: Path) -> None:
     code = tmp_path / "code.py"
     code.write_text("class A:\n    def f(self):\n        g()\n\nasync def h(): ...\n", encoding="utf-8")
-    assert [name for name in ("A", "A.f", "g", "h", "A.g", "B.f", "k", "f.A") if says(code, name)] == [
+    assert [
+        name for name in ("A", "A.f", "g", "h", "A.g", "B.f", "k", "f.A") if contains_name(code, name)
+    ] == [
         "A",
         "A.f",
         "g",

@@ -1,4 +1,4 @@
-"""Every fenced block of every document is correct: programs compile, files check, lines run as shown."""
+"""Every fenced block of every document is correct: programs compile, files are valid, command lines run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from document_blocks import ROOT, Block, blocks_by_page, blocks_of, shell_lines, without_comment
-from document_checks import missing_lines, opened, problems_of, wanted_status
+from document_checks import expected_status, missing_lines, opened, problems_of
 from document_exceptions import EXCEPTIONS, FILES
 from msgspec import structs
 
@@ -27,32 +27,33 @@ from lfield.mission.mission import Mission
 pytestmark = pytest.mark.process
 
 BLOCKS = blocks_by_page()
-#: Those of the examples on simulators of real autopilots, one folder each.
+#: The devices files for simulators of real autopilots: a folder for each autopilot.
 REAL = sorted((ROOT / "sim-adapters/real").rglob("*.devices.yaml"))
-#: Seconds for a line to end.
+#: The maximum duration of a command line, in seconds.
 TIMEOUT = 60.0
-#: Subcommands that start no process: they run in this one.
+#: Subcommands that start no process; the tests call them in their own process.
 IN_PROCESS = frozenset({"build", "capabilities", "check", "inspect", "keys", "plan", "query", "sign"})
 _RUNS: dict[str, tuple[int | str, str]] = {}
-#: Pages whose lines run a mission in processes. The same missions run on virtual time beside their pages, and
-#: the README runs that of examples/10-client-server in processes.
+#: Pages whose lines run a mission in processes. Tests in the folders of these pages run the same missions in
+#: virtual time, and the README runs the mission of examples/10-client-server in processes.
 REAL_TIME = {
-    f"examples/{name}/README.md" for name in ("11-multiple-tiers", "12-peer-to-peer", "15-tuple-space")
+    f"examples/{name}/README.md"
+    for name in ("07-so101-arm", "11-multiple-tiers", "12-peer-to-peer", "15-tuple-space", "17-learning")
 }
-#: Folders that commands of the documents name, from the root of the repository.
+#: Folders of the repository that commands of the documents name.
 NAMED = ("examples", "deploy", "capabilities")
 
 
 @pytest.fixture
 def scratch(tmp_path: Path) -> Path:
-    """A copy of the folders that the documents name, to run their lines in."""
+    """A folder for the command lines, with copies of the folders that the documents name."""
     for folder in NAMED:
         shutil.copytree(ROOT / folder, tmp_path / folder)
     return tmp_path
 
 
 def prepare(page: str, folder: Path) -> None:
-    """The files that a page names, and those that it shows."""
+    """Write the files that a page names, and the files that it shows."""
     for name, source in FILES.get(page, {}).items():
         (folder / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / source, folder / name)
@@ -63,11 +64,11 @@ def prepare(page: str, folder: Path) -> None:
 
 
 def run(line: str, folder: Path) -> tuple[int | str, str]:
-    """Run a command line; its status and all that it prints."""
+    """Run a command line. Return its exit status and its output."""
     commands = [shlex.split(each, comments=True) for each in line.split(" && ")]
     if all(words[0] == "lfield" and words[1] in IN_PROCESS for words in commands):
         return run_here(commands, folder)
-    # A line that depends on no file of the page is run once for all pages.
+    # A line that needs no file of the page runs once for all pages.
     known = without_comment(line)
     if not known.startswith("lfield up --deploy examples/"):
         return run_in_shell(line, folder)
@@ -77,26 +78,26 @@ def run(line: str, folder: Path) -> tuple[int | str, str]:
 
 
 def run_here(commands: list[list[str]], folder: Path) -> tuple[int | str, str]:
-    """Run commands of lfield in this process, until one fails."""
-    said = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(said):
+    """Run commands of lfield in this process. Stop at the first one that fails."""
+    output = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(output), redirect_stderr(output):
         patch.chdir(folder)
         patch.setenv("HOME", str(folder))
         patch.setenv("XDG_CONFIG_HOME", str(folder / ".config"))
         for _, *words in commands:
             if status := main([str(Path(word).expanduser()) for word in words]):
                 break
-    return status, said.getvalue()
+    return status, output.getvalue()
 
 
 def run_in_shell(line: str, folder: Path) -> tuple[int | str, str]:
-    """Run a command line in a shell. Its remaining processes are ended with it."""
+    """Run a command line in a shell, and then end the remaining processes of the line."""
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as output:
         shell = subprocess.Popen(
             ["bash", "-c", line], cwd=folder, env={**os.environ, "PATH": path, "HOME": str(folder),
                  "XDG_CONFIG_HOME": str(folder / ".config")},
-            stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
         try:
             status = shell.wait(TIMEOUT)
@@ -106,36 +107,36 @@ def run_in_shell(line: str, folder: Path) -> tuple[int | str, str]:
             with suppress(ProcessLookupError):
                 os.killpg(shell.pid, signal.SIGTERM)
             shell.wait(TIMEOUT)
-        said.seek(0)
-        return status, said.read().decode("utf-8", "replace")
+        output.seek(0)
+        return status, output.read().decode("utf-8", "replace")
 
 
-def outputs_of(block: Block) -> bool:
+def is_output(block: Block) -> bool:
     """Whether the block shows output."""
     return block.info == "text output"
 
 
 def lines_of(block: Block) -> list[str]:
-    """The command lines of a block; one of output may have its own."""
-    if outputs_of(block):
+    """The command lines of a block. A block of output may have command lines too."""
+    if is_output(block):
         return shell_lines("\n".join(line for line in block.text.splitlines() if line.startswith("$ ")))
     return shell_lines(block.text) if block.language == "sh" else []
 
 
-def played(page: str, folder: Path) -> list[str]:
-    """Run the lines of a page in order; returns the deviations from the page."""
-    problems, said, skipped = [], "", EXCEPTIONS.get(page, {})
+def differences(page: str, folder: Path) -> list[str]:
+    """Run the lines of a page in order. Return the differences from the page."""
+    problems, output, skipped = [], "", EXCEPTIONS.get(page, {})
     for block in BLOCKS[page]:
         lines = lines_of(block)
-        said = "" if lines else said
+        output = "" if lines else output
         for line in lines:
             if without_comment(line) not in skipped:
                 status, printed = run(line, folder)
-                said += printed
-                if status != wanted_status(line):
+                output += printed
+                if status != expected_status(line):
                     problems.append(f"{block.place}: {line}: status {status}: {printed}")
-        if outputs_of(block) and block.text.splitlines()[0] not in skipped:
-            problems += [f"{block.place}: {each}" for each in missing_lines(block.text, said)]
+        if is_output(block) and block.text.splitlines()[0] not in skipped:
+            problems += [f"{block.place}: {each}" for each in missing_lines(block.text, output)]
     return problems
 
 
@@ -146,31 +147,31 @@ def test_every_block_is_valid(page: str, scratch: Path) -> None:
     assert not problems, "\n".join(problems)
 
 
-PLAYED = [page for page, blocks in BLOCKS.items() if any(map(lines_of, blocks))]
+PAGES_WITH_LINES = [page for page, blocks in BLOCKS.items() if any(map(lines_of, blocks))]
 
 
-def play(page: str, folder: Path) -> None:
+def check_lines(page: str, folder: Path) -> None:
     prepare(page, folder)
-    problems = played(page, folder)
+    problems = differences(page, folder)
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.parametrize("page", [page for page in PLAYED if page not in REAL_TIME])
+@pytest.mark.parametrize("page", [page for page in PAGES_WITH_LINES if page not in REAL_TIME])
 def test_every_line_runs(page: str, scratch: Path) -> None:
-    play(page, scratch)
+    check_lines(page, scratch)
 
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("page", sorted(REAL_TIME))
-def test_every_line_of_a_mission_in_real_time_runs(page: str, scratch: Path) -> None:
-    play(page, scratch)
+def test_every_line_of_a_page_with_a_real_time_mission_runs(page: str, scratch: Path) -> None:
+    check_lines(page, scratch)
 
 
 @pytest.mark.parametrize("page", EXCEPTIONS)
 def test_every_exception_is_on_its_page(page: str) -> None:
-    there = {without_comment(line) for block in BLOCKS.get(page, []) for line in lines_of(block)}
-    there |= {block.text.splitlines()[0] for block in BLOCKS.get(page, []) if outputs_of(block)}
-    assert sorted(EXCEPTIONS[page].keys() - there) == []
+    on_page = {without_comment(line) for block in BLOCKS.get(page, []) for line in lines_of(block)}
+    on_page |= {block.text.splitlines()[0] for block in BLOCKS.get(page, []) if is_output(block)}
+    assert sorted(EXCEPTIONS[page].keys() - on_page) == []
 
 
 @pytest.mark.parametrize(
@@ -187,10 +188,10 @@ def test_bindings_of_real_autopilots_differ_in_endpoints_only(devices: Path) -> 
     deployment = ROOT / "examples" / devices.name.removesuffix(".devices.yaml") / "mission.dL"
     real, example = load_mission(deployment, devices=devices), load_mission(deployment)
 
-    def without_places(mission: Mission) -> list[DeviceBinding]:
+    def without_endpoints(mission: Mission) -> list[DeviceBinding]:
         return [structs.replace(device, endpoint="", frame=None, sim=[]) for device in mission.bindings.all]
 
-    assert without_places(real) == without_places(example)
+    assert without_endpoints(real) == without_endpoints(example)
     assert {d.endpoint for d in real.bindings.all}.isdisjoint(d.endpoint for d in example.bindings.all)
 
 
@@ -215,7 +216,7 @@ class A { }
 > # four
 > ```
 ```
-never closed
+without a closing fence
 """
 
 
@@ -231,8 +232,8 @@ def test_every_kind_of_fence_is_found() -> None:
     assert found[1].text == "indented\n"
     assert found[2].text == "a: |\n  ```\n"
     assert [" ".join(line.split()) for line in shell_lines(found[3].text)] == ["one two", "three # status 65"]
-    assert wanted_status("three # status 65") == 65
-    assert found[4].text == "never closed\n"
+    assert expected_status("three # status 65") == 65
+    assert found[4].text == "without a closing fence\n"
 
 
 @pytest.mark.parametrize(

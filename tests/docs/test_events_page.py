@@ -1,4 +1,4 @@
-"""The page of events has every kind with its fields, and the bounds equal those of the code."""
+"""The page of events has every kind with its fields, and the bounds of the code."""
 
 import re
 from pathlib import Path
@@ -30,9 +30,9 @@ def test_event_page_has_every_kind_with_its_fields(section, kinds):
     assert rows(section) == {kind: KINDS[kind].__struct_fields__ for kind in kinds}
 
 
-def test_event_page_states_the_frequent_kinds():
-    apart = PAGE.split("very often (")[1].split(")")[0]
-    assert {KINDS[kind] for kind in re.findall(r"`(\w+)`", apart)} == event_log.FREQUENT
+def test_event_page_names_the_frequent_kinds():
+    frequent = PAGE.split("very often (")[1].split(")")[0]
+    assert {KINDS[kind] for kind in re.findall(r"`(\w+)`", frequent)} == event_log.FREQUENT
 
 
 def limit(allowance):

@@ -1,4 +1,4 @@
-"""The mission of the tutorial runs in real time with the output of its page: `make test-more`."""
+"""The mission of the tutorial runs in real time and prints the output on the page: `make test-more`."""
 
 from __future__ import annotations
 
@@ -25,6 +25,6 @@ def test_tutorial_mission_prints_the_output_of_the_page(tmp_path: Path) -> None:
         [sys.executable, "-m", "lfield", *command.split()],
         cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=200,
     )  # fmt: skip
-    (said,) = (block.text for block in blocks if block.text.startswith("west | boss: row 0 done"))
+    (shown,) = (block.text for block in blocks if block.text.startswith("west | boss: row 0 done"))
     assert done.returncode == 0, done.stderr
-    assert missing_lines(said, done.stdout + done.stderr) == []
+    assert missing_lines(shown, done.stdout + done.stderr) == []

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
-#: Folders without files of the project.
+#: Folders that contain no files of the project.
 _FOREIGN = {"node_modules", "build", "dist"}
 
 _FENCE = re.compile(r"^(```|~~~).*?^\1\s*$", re.MULTILINE | re.DOTALL)
@@ -31,14 +31,14 @@ def markdown_files(root: Path) -> list[Path]:
 
 
 def links(text: str) -> Iterator[str]:
-    """The targets of inline links, without those in code."""
+    """The targets of the inline links that are not in code."""
     prose = _FENCE.sub("", text)
-    # The text of a link may be code; only spans without a link are removed.
+    # The text of a link may be code, so code is replaced, not removed.
     yield from _LINK.findall(_CODE.sub("`code`", prose))
 
 
 def anchors(text: str) -> set[str]:
-    """The anchors that a forge makes of the headings."""
+    """The anchors that GitHub creates for the headings."""
     found: set[str] = set()
     for heading in _HEADING.findall(_FENCE.sub("", text)):
         plain = re.sub(r"[^\w\- ]", "", heading.replace("`", "").lower()).replace(" ", "-")

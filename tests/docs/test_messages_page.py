@@ -1,4 +1,4 @@
-"""Every error has a code of its own, and the page of all codes is generated from the code."""
+"""Every error and log line has a unique code, and the page of all codes is current."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def test_every_code_of_a_yaml_finding_is_listed() -> None:
     assert used == YAML_CODES.keys()
 
 
-#: Messages whose whole line is text of a program, a driver or Python.
+#: Codes of lines whose whole text comes from a program, a driver or Python.
 FREE_TEXT = {"program-output", "device-report", "traceback"}
-#: The folders whose code logs.
+#: The folders with code that writes log lines.
 SOURCES = [Path(lfield.__file__).parent, *(Path(lfield.__file__).parents[1] / "drivers").glob("lfield_*")]
 DRIVERS = driver_messages()
 
 
 def trees() -> Iterator[tuple[Path, ast.Module]]:
-    """The parsed files of the product that log."""
+    """The parsed files of the product that write log lines."""
     for folder in SOURCES:
         for file in folder.rglob("*.py"):
             source = file.read_text(encoding="utf-8")
@@ -51,14 +51,14 @@ def trees() -> Iterator[tuple[Path, ast.Module]]:
 
 
 def table_of(file: Path) -> Mapping[str, object]:
-    """The messages that a file uses: those of its driver, else those of lfield."""
+    """The log messages for a file: the table of its driver, or the table of lfield."""
     return next(
         (table for name, table in DRIVERS.items() if name.split(".")[0] in file.parts), vars(log_messages)
     )
 
 
 def log_calls() -> Iterator[tuple[Mapping[str, object], str, list[ast.keyword]]]:
-    """The messages that the product logs, each with its values."""
+    """The table, the name and the values of each message that the product logs."""
     for file, tree in trees():
         aliases = set()
         for node in ast.walk(tree):
@@ -71,19 +71,19 @@ def log_calls() -> Iterator[tuple[Mapping[str, object], str, list[ast.keyword]]]
         for node in ast.walk(tree):
             match node:
                 case ast.Attribute(ast.Name("log_messages"), name) if name.isupper() and name not in aliases:
-                    # Chosen between two messages with the same fields: `(A if x else B).line(...)`.
+                    # The code chooses between two messages with the same fields: `(A if x else B).line(...)`.
                     yield table_of(file), name, []
 
 
 def fields_of(message: log_messages.LogMessage) -> set[str]:
-    """The values that a line needs: those of its template and of its clauses."""
+    """The values that a line needs: the fields of its template and of its clauses."""
     named = {field for _, field, _, _ in string.Formatter().parse(message.template) if field}
     assert message.clauses.keys() <= named
     return (named - message.clauses.keys()).union(*(each.values for each in message.clauses.values()))
 
 
 def test_every_log_call_has_the_values_of_its_template() -> None:
-    used = {"device-report"}  # `report_line` makes it
+    used = {"device-report"}  # `report_line` uses this code
     for table, name, values in log_calls():
         message = table[name]
         assert isinstance(message, log_messages.LogMessage)
@@ -100,7 +100,7 @@ def test_log_codes_are_unique_and_well_formed() -> None:
 
 
 def test_log_template_contains_words() -> None:
-    """A template with only a field would carry a sentence that is not in the table."""
+    """The text of a template with only a field would not be in the table."""
     bare = [
         each.code
         for each in (*log_messages.LOG_MESSAGES.values(), *device_messages())
@@ -110,7 +110,7 @@ def test_log_template_contains_words() -> None:
 
 
 def test_no_log_call_passes_a_literal_sentence() -> None:
-    """Neither a log function nor a value of a template is given a literal sentence."""
+    """No argument of a log function and no value of a template is a literal sentence."""
     free = []
     for file, tree in trees():
         for node in ast.walk(tree):
@@ -127,7 +127,7 @@ def test_no_log_call_passes_a_literal_sentence() -> None:
 
 
 def is_sentence(node: ast.expr, words: int = 1) -> bool:
-    """Whether an expression is a literal of so many words, or a choice between such."""
+    """Whether an expression is a literal with at least `words` words, or a choice that contains one."""
     match node:
         case ast.Constant(str(text)):
             return len(text.split()) >= words

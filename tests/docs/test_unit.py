@@ -1,4 +1,4 @@
-"""The systemd unit of deploy keeps journals, and gives devices enough time to come to rest."""
+"""The systemd unit of deploy has a journal folder, and a stop timeout that lets devices come to rest."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfield.mission.loader import load_mission
 
 
 def unit() -> RawConfigParser:
-    # Lists are written in several lines of one key.
+    # The unit writes a list as several lines with the same key.
     read = RawConfigParser(strict=False)
     read.optionxform = str  # type: ignore[assignment, method-assign]
     read.read(ROOT / "deploy/lfield.service")

@@ -1,4 +1,4 @@
-"""A device of parts: each instruction is implemented once, by the device or by one of its parts."""
+"""A device with parts: each instruction is implemented once, in the device or in one of its parts."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_part_executes_an_instruction_of_the_device():
 
 
 @pytest.mark.parametrize("value", [1e9, -1e9, (1 << 63) - 1])
-def test_number_beyond_the_largest_of_the_wire_is_refused(value):
+def test_number_above_the_largest_number_of_the_wire_is_refused(value):
     lamp = Lamp(Neck)
     lamp.largest = 1e6
     with pytest.raises(DeviceError, match=r"turn refused: a number is beyond 1e\+06"):

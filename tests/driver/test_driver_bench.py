@@ -1,4 +1,4 @@
-"""The public bench for drivers, tested with the driver that `lfield driver new` writes."""
+"""The public bench for drivers, with the driver that `lfield driver new` writes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MINUTE = 60.0
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    """The folder of a new driver, installed for processes with the folder in their path."""
+    """The folder of a new driver, which is installed for processes that have the folder in their path."""
     folder = tmp_path_factory.mktemp("project")
     write("lamp", folder)
     info = folder / "lfield_lamp-0.1.0.dist-info"
@@ -37,7 +37,7 @@ def project(tmp_path_factory):
 
 @pytest.fixture
 def lamp(project, monkeypatch):
-    """The module of its tests, with its Fake."""
+    """The module with the tests of the new driver, and its class Fake."""
     monkeypatch.syspath_prepend(str(project))
     monkeypatch.syspath_prepend(str(project / "tests"))
     yield import_module("test_lamp")
@@ -83,7 +83,7 @@ def test_binding_has_the_defaults_of_its_manifest(lamp):
 
 
 @on_bench("make_bench", "one", "two")
-async def test_story_runs_in_virtual_time(bench, one, two, /):
+async def test_bench_runs_in_virtual_time(bench, one, two, /):
     start = one.clock.monotonic()
     await asyncio.sleep(MINUTE)
     await two.execute("moveTo", [0.5])
@@ -94,7 +94,7 @@ async def test_story_runs_in_virtual_time(bench, one, two, /):
 
 
 @on_bench("make_bench", "device", opened=False)
-async def test_devices_can_be_left_closed(bench, device, /):
+async def test_devices_may_stay_closed_at_the_start(bench, device, /):
     assert bench.values == {}
     assert await device.open() == "a lamp"
 
@@ -109,58 +109,58 @@ async def test_notes_of_a_driver_are_kept(bench, device, /, fake):
 def test_until_timeout_reports_the_observed_values(make_bench):
     bench = make_bench("device")
 
-    async def story(device):
+    async def scenario(device):
         await bench.until(lambda: bench.values["value"] > 1.0, 5.0)
 
     with pytest.raises(
         AssertionError, match=r"did not hold within 5 s: {'bench.device': {'value': 0.0, 'moving': "
     ):
-        bench.run(story)
+        bench.run(scenario)
 
 
-def test_failed_background_task_of_a_driver_fails_the_bench(make_bench):
+def test_failed_background_task_of_a_driver_fails_the_scenario(make_bench):
     bench = make_bench("device")
 
-    async def stumble():
-        raise ValueError("stumbled")
+    async def fail():
+        raise ValueError("failed")
 
-    async def story(device):
-        bench.driver.spawn(stumble())
+    async def scenario(device):
+        bench.driver.spawn(fail())
         await asyncio.sleep(1.0)
 
-    with pytest.raises(AssertionError, match=r"failed meanwhile: ValueError\('stumbled'\)"):
-        bench.run(story)
+    with pytest.raises(AssertionError, match=r"failed meanwhile: ValueError\('failed'\)"):
+        bench.run(scenario)
 
 
 def test_failure_of_a_fake_is_added_to_the_error(make_bench, fake):
     async def broken():
         fake.cut = True
-        raise ValueError("stumbled")
+        raise ValueError("failed")
 
     with pytest.raises(DeviceError, match="no answer") as error:
         make_bench("device", fakes=(broken,)).run(nothing)
-    assert error.value.__notes__ == ["meanwhile: the simulated device: ValueError('stumbled')"]
+    assert error.value.__notes__ == ["meanwhile: the simulated device: ValueError('failed')"]
 
 
-def test_story_that_exceeds_its_time_is_ended(make_bench):
-    async def story(device):
+def test_scenario_that_exceeds_its_time_is_cancelled(make_bench):
+    async def scenario(device):
         await asyncio.sleep(MINUTE)
 
     with pytest.raises(TimeoutError):
-        make_bench("device").run(story, within=10.0)
+        make_bench("device").run(scenario, within=10.0)
 
 
 def test_bench_ends_tasks_and_closes_the_driver(make_bench, fake):
     ended = []
 
-    async def living():
+    async def live_fake():
         try:
             await fake.live()
         finally:
             ended.append("fake")
 
     fake.close = lambda: ended.append("wire")
-    make_bench("device", fakes=(living,)).run(nothing)
+    make_bench("device", fakes=(live_fake,)).run(nothing)
     assert sorted(ended) == ["fake", "wire"]
 
 
@@ -171,7 +171,7 @@ def test_fake_process_with_device_in_real_time_and_behind_a_guard():
         bench = DriverBench(SERVOS, binding)
         assert "XL330-M288" in bench.run_real(lambda wrist: wrist.open(), opened=False)
 
-        async def story():
+        async def scenario():
             async with guarded(binding) as (wrist,):
                 assert await wrist.reads("torqueOn", lambda on: on is False) is False
                 assert fake.fault("hot@arm.wrist=true")["devices"] == {"1": "arm.wrist"}
@@ -179,25 +179,25 @@ def test_fake_process_with_device_in_real_time_and_behind_a_guard():
                     await wrist.until_note("no such note", 0.1)
                 assert wrist.guard_pid > 0
 
-        asyncio.run(story())
+        asyncio.run(scenario())
         with pytest.raises(AssertionError, match="no device 'leg'"):
             fake.fault("hot@leg=true")
     assert fake.process.returncode == 0
 
 
 @pytest.mark.process
-def test_fake_or_device_that_fails_to_start_reports_why(capfd):
+def test_fake_or_device_that_fails_to_start_reports_the_reason(capfd):
     words = "the simulated device 'dynamixel' did not start"
     with pytest.raises(AssertionError, match=words), running_fake("dynamixel", "--servo", "1:XM999"):
         pass
     assert "there is no simulation of the servo 'XM999'" in capfd.readouterr().err
 
-    async def story():
+    async def scenario():
         async with guarded(bind(SERVOS, "Dynamixel", endpoint="serial:/dev/nothing-there:57600")):
             pass
 
     with pytest.raises(DevicesError, match="cannot open serial:/dev/nothing-there"):
-        asyncio.run(story())
+        asyncio.run(scenario())
 
 
 @pytest.mark.process

@@ -1,4 +1,4 @@
-"""The endpoints of a driver are checked before anything is opened."""
+"""The endpoints of a driver are checked before a device is opened."""
 
 from __future__ import annotations
 
@@ -47,14 +47,13 @@ def test_endpoints_of_the_drivers_are_accepted_or_refused(driver):
 
 
 def test_endpoint_check_imports_no_vendor_library():
-    asks = "".join(
+    calls = "".join(
         f"load_plugin('lfield_{driver}:PLUGIN').why_no_endpoint({good[0]!r})\n"
         for driver, (good, _) in ENDPOINTS.items()
     )
     vendors = "{'can', 'canopen', 'cantools', 'serial', 'pymavlink', 'dynamixel_sdk'}"
-    text = (
-        f"import sys\nfrom lfield.driver.plugin import load_plugin\n{asks}print({vendors} & set(sys.modules))"
-    )
+    text = "import sys\nfrom lfield.driver.plugin import load_plugin\n"
+    text += f"{calls}print({vendors} & set(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=True
     )
@@ -62,7 +61,7 @@ def test_endpoint_check_imports_no_vendor_library():
 
 
 def parse(text: str) -> None:
-    """An endpoint of Thing."""
+    """Parse an endpoint of the driver `thing`."""
     if text == "broken":
         raise RuntimeError("a bug")
     if not text.startswith("thing:"):
@@ -70,7 +69,7 @@ def parse(text: str) -> None:
 
 
 def anything(text: str) -> None:
-    """Accepts any endpoint."""
+    """Accept any endpoint."""
 
 
 def plugin(function: str, requires: tuple[str, ...] = ()) -> Plugin:
@@ -89,8 +88,8 @@ def test_plugin_with_and_without_an_endpoint_parser():
         plugin("nowhere").why_no_endpoint("")
 
 
-def heavier(bindings):
-    """Refuses all bindings except the first."""
+def only_first(bindings):
+    """Refuse all bindings except the first."""
     if bindings[0].endpoint == "broken":
         raise RuntimeError("a bug")
     return ((binding, "one too many") for binding in bindings[1:])
@@ -106,15 +105,15 @@ def test_plugin_with_and_without_a_comparison_of_bindings():
         ]
         return [(binding.agent, why) for binding, why in plugin.conflicts_of(bindings)]
 
-    assert compare("heavier", "1", "2") == [("2", "one too many")]
+    assert compare("only_first", "1", "2") == [("2", "one too many")]
     assert compare("", "1", "2") == []
-    assert compare("heavier", "1", "2", requires=("vendor_that_is_not_here",)) == []
+    assert compare("only_first", "1", "2", requires=("vendor_that_is_not_here",)) == []
     with pytest.raises(PluginError, match="driver 'thing' cannot compare its bindings: a bug"):
-        compare("heavier", "broken")
+        compare("only_first", "broken")
 
 
-class Open:
-    """A bench with a device that is open at this endpoint."""
+class OpenBench:
+    """A bench with a device whose endpoint is open."""
 
     confirmed = False
 
@@ -131,6 +130,6 @@ class Open:
     ],
 )
 async def test_kit_checks_the_endpoint_parser(function, endpoint, outcome, seen):
-    kit = run_kit(Open(endpoint), [endpoint_check(plugin(function))], may_move=False)
+    kit = run_kit(OpenBench(endpoint), [endpoint_check(plugin(function))], may_move=False)
     (finding,) = [finding async for finding in kit]
     assert (finding.check, finding.outcome, finding.seen) == ("endpoint", outcome, seen)

@@ -1,4 +1,4 @@
-"""The runner of the kit and its standard checks, on a simulated bench."""
+"""The runner of the kit and its standard checks, with a simulated bench."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ telemetry:
 
 
 class SimulatedBench:
-    """A device that keeps its promises unless `breaks` names one."""
+    """A device that passes all checks, or one that violates the requirement that `breaks` names."""
 
     identity, silence = "a servo", 0.2
 
@@ -38,13 +38,13 @@ class SimulatedBench:
         )
         self.manifest, self.notes, self.breaks = MANIFEST, [], breaks
         self.latched, self.confirmed = "", False
-        self.ways = ["", "turning", "turning more slowly", None]
+        self.movements = ["", "turning", "turning more slowly", None]
 
     @property
     def moving(self):
         if self.breaks == "rest":
             return "turning"
-        return self.ways.pop() if len(self.ways) > 1 else self.ways[0]
+        return self.movements.pop() if len(self.movements) > 1 else self.movements[0]
 
     async def call(self, instruction, *arguments):
         if instruction == "release":
@@ -104,7 +104,7 @@ def test_correct_device_passes_every_check():
         ("silence", "a host that stops responding", "waited for 'off' to be confirmed"),
     ],
 )
-def test_each_broken_promise_fails_its_check(breaks, check, words):
+def test_each_violated_requirement_fails_its_check(breaks, check, words):
     found = findings(SimulatedBench(breaks))
     assert found[check].outcome == "failed"
     assert words in found[check].seen
@@ -118,7 +118,7 @@ def test_checks_that_move_do_not_run_without_permission():
     assert {f.outcome for f in found.values()} == {"passed", "not run"}
 
 
-def test_driver_checks_run_for_their_types_and_broken_ones_fail():
+def test_driver_checks_run_for_their_types_and_a_raising_check_fails():
     kit = Kit()
 
     @kit.check("mine", moves=False, types=("Servo",))

@@ -1,4 +1,4 @@
-"""A robot's drivers are found by name, without an import."""
+"""A robot finds its drivers by name and does not import them."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def entry(name: str, reference: str) -> EntryPoint:
     return EntryPoint(name, reference, GROUP)
 
 
-def here(*entries: EntryPoint) -> str:
+def servo_reference(*entries: EntryPoint) -> str:
     return installed_drivers(KNOWN, ["servo"], entries).by_driver["servo"].reference
 
 
 def test_driver_is_found_by_name_else_by_reference() -> None:
-    assert here(entry("servo", "other_package:SERVO")) == "other_package:SERVO"
-    assert here(entry("x", "lfield_servo:PLUGIN")) == "lfield_servo:PLUGIN"
+    assert servo_reference(entry("servo", "other_package:SERVO")) == "other_package:SERVO"
+    assert servo_reference(entry("x", "lfield_servo:PLUGIN")) == "lfield_servo:PLUGIN"
     assert "other_package" not in sys.modules
 
 
 def test_missing_driver_names_the_package_to_install() -> None:
     with pytest.raises(PluginError, match=r"driver 'servo' is not installed: install lfield-servo 1\.2"):
-        here(entry("winch", "lfield_winch:PLUGIN"))
+        servo_reference(entry("winch", "lfield_winch:PLUGIN"))
 
 
 def test_unneeded_drivers_are_not_searched() -> None:

@@ -1,3 +1,5 @@
+"""Manifest files of drivers: their values and their errors."""
+
 from __future__ import annotations
 
 import pytest
@@ -49,7 +51,9 @@ def test_manifest_has_the_values_of_its_file():
     assert (turn.blocking, turn.effect, turn.result) == (True, "actuate", "void")
     assert (turn.cancel, turn.may_be_cancelled) == ("stop", True)
     cancelled = {i.name for i in device.instructions if i.may_be_cancelled}
-    assert cancelled == {"turn", "look", "dim", "ask"}, "not stop, a setpoint, release() or a quantity"
+    assert cancelled == {"turn", "look", "dim", "ask"}, (
+        "`stop`, setpoints, `release` and quantities cannot be cancelled"
+    )
     assert angle is not None
     assert (angle.effect, angle.result, angle.unit, angle.blocking) == ("query", "real", "rad", False)
     assert device.telemetry[0].max_age == 0.5

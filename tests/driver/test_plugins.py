@@ -1,3 +1,5 @@
+"""Discovery of drivers and of simulated devices, and the errors of broken ones."""
+
 from __future__ import annotations
 
 import subprocess
@@ -26,7 +28,7 @@ def entry(reference: str) -> EntryPoint:
 
 @pytest.fixture
 def plugin_at(tmp_path, monkeypatch):
-    """Writes a plugin package and returns its reference."""
+    """A function that writes a plugin package and returns its reference."""
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def make(package: str, name: str, device_type: str, *, code: str = "", manifest: str = MANIFEST) -> str:
@@ -53,11 +55,11 @@ def test_plugins_are_found_by_driver_and_by_type(plugin_at):
 
 
 @pytest.mark.parametrize(
-    ("name", "device_type", "what"), [("a", "B", "driver 'a'"), ("b", "A", "device type 'A'")]
+    ("name", "device_type", "duplicate"), [("a", "B", "driver 'a'"), ("b", "A", "device type 'A'")]
 )
-def test_duplicate_driver_or_device_type_is_an_error(plugin_at, name, device_type, what):
+def test_duplicate_driver_or_device_type_is_an_error(plugin_at, name, device_type, duplicate):
     first, second = plugin_at("dup_a", "a", "A"), plugin_at("dup_b", name, device_type)
-    with pytest.raises(PluginError, match=f"dup_a:PLUGIN and dup_b:PLUGIN, both define the {what}"):
+    with pytest.raises(PluginError, match=f"dup_a:PLUGIN and dup_b:PLUGIN, both define the {duplicate}"):
         discover([entry(first), entry(second)])
 
 
@@ -129,7 +131,7 @@ def test_plugin_is_added_by_reference():
 
 
 def test_third_party_driver_names_the_missing_library():
-    """The library is in no extra of lfield."""
+    """No extra of lfield contains the library."""
     plugin = Plugin("x", "json", "json:JSONDecoder", requires=("no_such_vendor", "json"))
     with pytest.raises(PluginError, match=r"driver 'x' needs no_such_vendor: pip install no_such_vendor$"):
         plugin.load()

@@ -1,4 +1,4 @@
-"""Framers of serial ports: any split gives the same frames, garbage does not raise, memory is bounded."""
+"""Framers of serial ports: any split of the bytes has the same frames, no bytes raise, memory is bounded."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lfield.driver.serial import Lines, Packets
 
 LONGEST = 12
-#: Start AA 55, length of the body, body, and its checksum.
+#: A packet is AA 55, the length of the body, the body, and its checksum.
 make_packets = {
     "lines": lambda: Lines(longest=LONGEST),
     "two bytes": lambda: Lines(b"\r\n", longest=LONGEST),
@@ -23,7 +23,7 @@ make_packets = {
         longest=LONGEST,
     ),
 }
-#: Bytes with a meaning for one of the framers, and any others.
+#: Bytes with a meaning for a framer, and random bytes.
 noise = st.lists(
     st.sampled_from([b"\r", b"\n", b"\r\n", b"\xaa", b"\x55", b"\xaa\x55\x01\x07\x07"])
     | st.binary(max_size=9)
@@ -57,7 +57,7 @@ def test_partial_frames_use_bounded_memory(kind, pieces):
 def test_valid_packets_are_found_after_garbage(bodies, garbage):
     framer = make_packets["packets"]()
     framer.feed(garbage)
-    framer.feed(bytes(LONGEST))  # ends a frame that the garbage has started
+    framer.feed(bytes(LONGEST))  # ends a frame that started in the garbage
     assert framer.feed(b"".join(map(packet, bodies))) == list(map(packet, bodies))
 
 

@@ -1,4 +1,4 @@
-"""A serial line on a pseudo-terminal: frames, answers in time, one owner, disconnection."""
+"""A serial line on a pseudo-terminal: frames, answers, timeouts, one owner, disconnection."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from lfield.driver.serial import Lines, SerialLine, SerialPort, parse_serial_end
 from lfield.recording.ring_writer import RingWriter
 
 
-class Far:
-    """The remote end of a pseudo-terminal behind a symbolic link, like a device behind its adapter."""
+class SerialDevice:
+    """The device end of a pseudo-terminal, with a symbolic link to the other end as its port."""
 
     def __init__(self, path) -> None:
         self.path, self.notes, self.frames = path, [], []
@@ -47,11 +47,11 @@ class Far:
 
 
 @pytest.fixture
-def far(tmp_path):
-    far = Far(tmp_path / "tty")
-    yield far
-    if far.path.is_symlink():
-        far.unplug()
+def device(tmp_path):
+    device = SerialDevice(tmp_path / "tty")
+    yield device
+    if device.path.is_symlink():
+        device.unplug()
 
 
 async def until(condition) -> None:
@@ -60,31 +60,31 @@ async def until(condition) -> None:
             await asyncio.sleep(0.002)
 
 
-async def test_frames_are_delivered_and_answers_returned_to_the_caller(far):
-    line = far.line()
+async def test_frames_are_delivered_and_answers_are_returned_to_the_caller(device):
+    line = device.line()
     line.open()
-    os.write(far.master, b"hel")
-    os.write(far.master, b"lo\n")
-    await until(lambda: far.frames == [b"hello"])
-    asking = asyncio.create_task(line.ask(b"?\n", lambda frame: frame.startswith(b"="), within=10.0))
-    assert await asyncio.to_thread(os.read, far.master, 9) == b"?\n"
-    os.write(far.master, b"unasked\n=4\n")
-    assert await asking == b"=4"
-    assert far.frames == [b"hello", b"unasked"]
+    os.write(device.master, b"hel")
+    os.write(device.master, b"lo\n")
+    await until(lambda: device.frames == [b"hello"])
+    request = asyncio.create_task(line.ask(b"?\n", lambda frame: frame.startswith(b"="), within=10.0))
+    assert await asyncio.to_thread(os.read, device.master, 9) == b"?\n"
+    os.write(device.master, b"unasked\n=4\n")
+    assert await request == b"=4"
+    assert device.frames == [b"hello", b"unasked"]
     with pytest.raises(DeviceError, match=r"no answer within 0.01 s, 2 times") as error:
         await line.ask(b"?\n", within=0.01, tries=2)
     assert error.value.kind == "DeviceTimeoutException"
     line.close()
 
 
-async def test_sent_and_received_bytes_are_logged(far, tmp_path):
+async def test_sent_and_received_bytes_are_logged(device, tmp_path):
     log = WireLog(ManualClock(1_609_459_200.5))
     log.start(lambda suffix, header: RingWriter(tmp_path, "wire", suffix, 1 << 20, pytest.fail, header))
-    line = far.line(log)
+    line = device.line(log)
     line.open()
     line.send(b"?\n")
-    os.write(far.master, b"=\n")
-    await until(lambda: far.frames == [b"="])
+    os.write(device.master, b"=\n")
+    await until(lambda: device.frames == [b"="])
     line.close()
     log.close()
     header, *lines = (tmp_path / "wire-000001.hex.log").read_text().splitlines(keepends=True)
@@ -95,34 +95,34 @@ async def test_sent_and_received_bytes_are_logged(far, tmp_path):
     assert b"".join(data for *_, data in found) == b"=\n"
 
 
-async def test_unplugged_port_fails_requests_and_is_reopened(far):
-    line = far.line()
+async def test_unplugged_port_fails_requests_and_is_reopened(device):
+    line = device.line()
     line.open()
-    asking = asyncio.create_task(line.ask(b"?\n", within=60.0))
+    request = asyncio.create_task(line.ask(b"?\n", within=60.0))
     await asyncio.sleep(0)
-    far.unplug()
+    device.unplug()
     with pytest.raises(DeviceError, match="is gone"):
-        await asking
+        await request
     with pytest.raises(DeviceError, match="is gone"):
         line.send(b"x")
-    far.plug()
-    await until(lambda: len(far.notes) == 2)
-    assert far.notes[1] == f"link opened: serial port {far.path}"
-    os.write(far.master, b"again\n")
-    await until(lambda: far.frames == [b"again"])
+    device.plug()
+    await until(lambda: len(device.notes) == 2)
+    assert device.notes[1] == f"link opened: serial port {device.path}"
+    os.write(device.master, b"again\n")
+    await until(lambda: device.frames == [b"again"])
     line.close()
     with pytest.raises(DeviceError, match="the port is closed"):
         line.send(b"x")
 
 
-async def test_serial_port_has_one_owner(far):
-    line, rival = far.line(), far.line()
+async def test_serial_port_has_one_owner(device):
+    line, second = device.line(), device.line()
     line.open()
     with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
-        rival.open()
+        second.open()
     line.close()
-    rival.open()
-    rival.close()
+    second.open()
+    second.close()
 
 
 @pytest.mark.parametrize("endpoint", ["serial:/dev/x", "serial::9600", "tcp:a:1", "serial:/dev/x:0", ""])
@@ -154,7 +154,7 @@ def test_port_that_cannot_be_opened_is_reported(path, words):
         asyncio.run(opened())
 
 
-def test_missing_permission_names_group_command_and_login(tmp_path, monkeypatch):
+def test_permission_error_names_the_group_the_command_and_the_login(tmp_path, monkeypatch):
     path = tmp_path / "ttyUSB0"
     path.touch()
     group = grp.getgrgid(path.stat().st_gid).gr_name
@@ -180,21 +180,21 @@ def test_missing_pyserial_names_the_extra(monkeypatch):
         SerialPort("/dev/null", 9600, None).open()
 
 
-async def test_each_reason_that_blocks_a_reopen_is_logged_once(far, monkeypatch):
-    """The port returns under the same name, as in `/dev/serial/by-id`, but another program uses it."""
+async def test_each_reason_for_a_failed_reopen_is_logged_once(device, monkeypatch):
+    """The port has the same name as before, as in `/dev/serial/by-id`, but another program uses it."""
     monkeypatch.setattr("lfield.driver.serial.serial_port.REOPEN_INTERVAL", 0.01)
-    line, rival = far.line(), far.line()
+    line, second = device.line(), device.line()
     line.open()
-    far.unplug()
-    await until(lambda: any("is gone" in note for note in far.notes))
-    await until(lambda: any("No such file" in note for note in far.notes))
-    far.plug()
-    rival.open()
-    await until(lambda: any("in use by another program" in note for note in far.notes))
-    rival.close()
-    await until(lambda: far.notes[-1] == f"link opened: serial port {far.path}")
-    os.write(far.master, b"hello\n")
-    await until(lambda: far.frames == [b"hello"])
+    device.unplug()
+    await until(lambda: any("is gone" in note for note in device.notes))
+    await until(lambda: any("No such file" in note for note in device.notes))
+    device.plug()
+    second.open()
+    await until(lambda: any("in use by another program" in note for note in device.notes))
+    second.close()
+    await until(lambda: device.notes[-1] == f"link opened: serial port {device.path}")
+    os.write(device.master, b"hello\n")
+    await until(lambda: device.frames == [b"hello"])
     line.close()
-    assert sum("No such file" in note for note in far.notes) == 1
-    assert sum("in use" in note for note in far.notes) == 1
+    assert sum("No such file" in note for note in device.notes) == 1
+    assert sum("in use" in note for note in device.notes) == 1

@@ -1,4 +1,4 @@
-"""The team's frame: pose conversions, and telemetry and arguments of a device."""
+"""The frame of the team: conversion of poses, telemetry and arguments of a device."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ EAST = Pose(10.0, 20.0, -1.0, math.pi / 2)
 
 
 class Cart(Device):
-    """Stores its last arguments."""
+    """A device that stores the arguments of its last instruction."""
 
     def __init__(self, placement):
         binding = DeviceBinding(
             agent="a", field="f", type="Cart", driver="cart", endpoint="x", safe_state="stop", frame=placement
         )
-        self.kept = KeptReports()
+        self.reports = KeptReports()
         self.arguments = None
-        super().__init__(binding, load_manifest("cart.yaml", MANIFEST), ManualClock(), self.kept)
+        super().__init__(binding, load_manifest("cart.yaml", MANIFEST), ManualClock(), self.reports)
 
     async def do_go_to(self, north, east):
         self.arguments = (north, east)
@@ -77,33 +77,33 @@ def run(cart, name, *values):
 
 
 metres = st.floats(-1e4, 1e4)
-ways = st.tuples(metres, metres, metres)
+vectors = st.tuples(metres, metres, metres)
 poses = st.builds(Pose, metres, metres, metres, st.floats(-math.tau, math.tau))
 
 
-@given(pose=poses, place=ways)
+@given(pose=poses, place=vectors)
 def test_pose_conversion_and_back_is_exact(pose, place):
     assert pose.from_team(pose.to_team(place)) == pytest.approx(place, abs=1e-8)
 
 
-@given(pose=poses, one=ways, other=ways)
+@given(pose=poses, one=vectors, other=vectors)
 def test_pose_keeps_distances(pose, one, other):
     assert math.dist(pose.to_team(one), pose.to_team(other)) == pytest.approx(math.dist(one, other), abs=1e-8)
 
 
-@given(way=ways, heading=st.floats(-math.tau, math.tau))
-def test_rotation_turns_a_vector_by_the_heading(way, heading):
-    north, east, down = rotated(way, heading)
-    assert math.hypot(north, east) == pytest.approx(math.hypot(*way[:2]), abs=1e-8)
-    assert down == way[2]
+@given(vector=vectors, heading=st.floats(-math.tau, math.tau))
+def test_rotation_turns_a_vector_by_the_heading(vector, heading):
+    north, east, down = rotated(vector, heading)
+    assert math.hypot(north, east) == pytest.approx(math.hypot(*vector[:2]), abs=1e-8)
+    assert down == vector[2]
     if math.hypot(north, east) > 1e-3:
-        turn = math.atan2(east, north) - math.atan2(way[1], way[0]) - heading
+        turn = math.atan2(east, north) - math.atan2(vector[1], vector[0]) - heading
         assert math.remainder(turn, math.tau) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_arguments_are_converted_from_the_team_frame():
     cart = Cart(Placement(pose=EAST))
-    # 3 m east of the team's (10, 20) is 3 m ahead of it.
+    # The point 3 m east of (10, 20) in the team's frame is 3 m north of the device in its own frame.
     assert run(cart, "goTo", 10.0, 23.0) == pytest.approx((3.0, 0.0))
     arguments = run(
         cart, "fly", 0.5, 10.0, 20.0, -6.0, math.pi, [1.0, 0.0, 2.0], [10.0, 21.0, -1.0, 9.0, 20.0, 0.0]
@@ -118,7 +118,7 @@ def test_telemetry_is_converted_to_the_team_frame():
     cart = Cart(Placement(pose=EAST))
     cart.publish(position=[3.0, 0.0, 0.0], velocity=[1.0, 0.0, 0.5], heading=6.0, battery=0.5)
     cart.publish(attitude=[0.1, 0.2, math.pi - 0.1])
-    found = cart.kept.values
+    found = cart.reports.values
     assert found["position"] == pytest.approx([10.0, 23.0, -1.0])
     assert found["velocity"] == pytest.approx([0.0, 1.0, 0.5])
     assert found["heading"] == pytest.approx((6.0 + math.pi / 2) % math.tau)
@@ -126,26 +126,26 @@ def test_telemetry_is_converted_to_the_team_frame():
     assert found["battery"] == 0.5
 
 
-@given(pose=poses, place=ways)
-def test_goal_from_another_device_s_position_is_the_same_point(pose, place):
+@given(pose=poses, place=vectors)
+def test_position_of_another_device_as_a_goal_is_the_same_point(pose, place):
     one, other = Cart(Placement(pose=EAST)), Cart(Placement(pose=pose))
     one.publish(position=list(place))
-    arguments = run(other, "goTo", *one.kept.values["position"][:2])
-    there = pose.to_team((*arguments, 0.0))
-    assert there[:2] == pytest.approx(EAST.to_team(place)[:2], abs=1e-7)
+    arguments = run(other, "goTo", *one.reports.values["position"][:2])
+    goal = pose.to_team((*arguments, 0.0))
+    assert goal[:2] == pytest.approx(EAST.to_team(place)[:2], abs=1e-7)
 
 
 def test_values_without_a_frame_are_unchanged():
     cart = Cart(None)
     cart.publish(position=[3.0, 0.0, 0.0], heading=6.0)
-    assert cart.kept.values == {"position": [3.0, 0.0, 0.0], "heading": 6.0}
+    assert cart.reports.values == {"position": [3.0, 0.0, 0.0], "heading": 6.0}
     assert run(cart, "goTo", 10.0, 23.0) == (10.0, 23.0)
 
 
 def test_unknown_placement_publishes_no_position_and_refuses_goals():
     cart = Cart(Placement())
     cart.publish(position=[0.0, 0.0, 0.0], heading=0.0, battery=0.5)
-    assert cart.kept.values == {"battery": 0.5}
+    assert cart.reports.values == {"battery": 0.5}
     with pytest.raises(DeviceError, match=r"goTo refused: the position in the team's frame is not known yet"):
         run(cart, "goTo", 0.0, 0.0)
     assert cart.arguments is None

@@ -1,4 +1,4 @@
-"""Servos on virtual time: a chain at the other end of a line, and the effects of its faults."""
+"""Servos in virtual time: the driver is connected to a simulated chain with faults."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def chain(desk: Desk) -> DeskFake:
 
 @pytest.fixture
 def run(desk, chain):
-    """Run a story with one device of the driver and its bench."""
+    """A function that runs the steps of a test with one device of the driver and its bench."""
 
-    def play(story, *ids: int, safe_state: str = "torque_hold") -> None:
+    def run_steps(steps, *ids: int, safe_state: str = "torque_hold") -> None:
         kind, options = (
             ("DynamixelGroup", {"ids": list(ids)}) if len(ids) > 1 else ("Dynamixel", {"id": ids[0]})
         )
         bound = bind(PLUGIN, kind, endpoint=chain.endpoint, safe_state=safe_state, options=options)
         bench = DriverBench(PLUGIN, bound)
-        desk.run(lambda: bench.play(lambda device: story(device, bench), desk.clock))
+        desk.run(lambda: bench.play(lambda device: steps(device, bench), desk.clock))
 
-    return play
+    return run_steps
 
 
 @scenario("run", 1, 2, 3, safe_state="torque_off")
@@ -64,7 +64,7 @@ async def test_lost_replies_do_not_stop_a_motion(group, bench, /, chain):
 
 
 @scenario("run", 3)
-async def test_unplugged_chain_is_reported_once_and_returns_stopped(servo, bench, /, desk, chain):
+async def test_unplugged_chain_is_reported_once_and_stopped_by_its_watchdog(servo, bench, /, desk, chain):
     await servo.execute("torque", [True])
     await servo.execute("setProfile", [0.4, 0.0])
     moving = asyncio.ensure_future(servo.execute("moveTo", [1.5]))
@@ -75,13 +75,13 @@ async def test_unplugged_chain_is_reported_once_and_returns_stopped(servo, bench
         await moving
     assert caught.value.kind == "DeviceTimeoutException"
     assert desk.now - start < 10.0
-    # Longer than its watchdog time: the servo has stopped by itself when the plug returns.
+    # Longer than the time of the watchdog: the servo has stopped when the port is plugged in again.
     await asyncio.sleep(1.5)
     chain.fault("unplug=false")
     await bench.until(lambda: any("responding again" in note for note in bench.notes))
     assert sum("is gone" in note for note in bench.notes) == 1
     assert any("torque on, stopped by its watchdog" in note for note in bench.notes)
     await servo.execute("release", [])
-    place = (await servo.servo.present()).position
-    assert place < 1.3
-    await servo.execute("moveTo", [place])
+    position = (await servo.servo.present()).position
+    assert position < 1.3
+    await servo.execute("moveTo", [position])

@@ -1,6 +1,6 @@
-"""The driver and the fake at the other end of a pseudo-terminal: two processes, in real time.
+"""The driver and a process of the fake, connected by a pseudo-terminal, in real time.
 
-Tests that need neither are in test_dynamixel_on_desk.py, on virtual time.
+The tests in test_dynamixel_on_desk.py run in virtual time, without a process and a terminal.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ def binding(endpoint: str, *ids: int, safe_state: str = "torque_hold") -> Device
     return bind(PLUGIN, kind, endpoint=endpoint, safe_state=safe_state, options=options)
 
 
-def run(bound: DeviceBinding, story) -> None:
+def run(bound: DeviceBinding, scenario) -> None:
     bench = DriverBench(PLUGIN, bound)
-    bench.run_real(lambda device: story(device, bench))
+    bench.run_real(lambda device: scenario(device, bench))
 
 
 @pytest.fixture
@@ -36,25 +36,25 @@ def chain() -> Iterator[RunningFake]:
 
 
 def test_group_reaches_its_goal_in_real_time(chain):
-    async def story(group, bench):
+    async def scenario(group, bench):
         await group.execute("torque", [True])
         await group.execute("setProfile", [3.0, 20.0])
         await group.execute("moveTo", [[0.5, -0.4, 0.2]])
         assert bench.values["positions"] == pytest.approx([0.5, -0.4, 0.2], abs=0.03)
         assert bench.values["missing"] == []
 
-    run(binding(chain.endpoint, 1, 2, 3), story)
+    run(binding(chain.endpoint, 1, 2, 3), scenario)
 
 
 def test_second_driver_on_one_port_is_refused(chain):
-    async def story(servo, bench):
+    async def scenario(servo, bench):
         bound = binding(chain.endpoint, 2)
-        rival = DynamixelDriver([bound], PLUGIN.read_manifests(), SystemClock(), DriverBench(PLUGIN, bound))
+        second = DynamixelDriver([bound], PLUGIN.read_manifests(), SystemClock(), DriverBench(PLUGIN, bound))
         with pytest.raises(DeviceError, match="is in use by another program"):
-            await rival.open()
-        await rival.close()
+            await second.open()
+        await second.close()
 
-    run(binding(chain.endpoint, 1), story)
+    run(binding(chain.endpoint, 1), scenario)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A client of `lfield lsp` for tests: sends messages to a server process and waits for its answers."""
+"""A client of `lfield lsp` for tests: it sends messages to a server process and waits for the answers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class LspSession:
                 stream.close()
 
     def end(self) -> int:
-        """End the session as an editor does; returns the exit status of the server."""
+        """End the session in the same way as an editor. Return the exit status of the server."""
         self.request("shutdown", None)
         self.notify("exit", None)
         self.close_input()
@@ -54,7 +54,7 @@ class LspSession:
         self._process.stdin.close()
 
     def wait(self) -> int:
-        """The exit status of the server."""
+        """Wait for the end of the server. Return its exit status."""
         return self._process.wait(30)
 
     def processor_time(self) -> float:
@@ -68,7 +68,7 @@ class LspSession:
         self._send({"method": method, "params": params})
 
     def request(self, method: str, params: Any) -> Any:
-        """The result of a request; the error of a refused one."""
+        """Send a request. Return the result, or the error of a refused request."""
         self._last += 1
         self.requests += 1
         self._send({"id": self._last, "method": method, "params": params})
@@ -112,7 +112,7 @@ class LspSession:
         """Replace characters of a line."""
         self._version += 1
         self._versions[name] = self._version
-        where = {
+        span = {
             "start": {"line": line, "character": column},
             "end": {"line": line, "character": column + removed},
         }
@@ -120,17 +120,17 @@ class LspSession:
             "textDocument/didChange",
             {
                 "textDocument": {**self.document(name), "version": self._version},
-                "contentChanges": [{"range": where, "text": text}],
+                "contentChanges": [{"range": span, "text": text}],
             },
         )
 
     def await_diagnostics(self, name: str, version: int = 0) -> list[dict[str, Any]]:
-        """The diagnostics of the present version of a text, or of another one."""
+        """Wait for the diagnostics of a version of a text: the present version, or the given one."""
         while self._diagnostics.get(name, (0, []))[0] != (version or self._versions[name]):
             self._receive()
         return self._diagnostics[name][1]
 
     def at(self, method: str, name: str, line: int, column: int, **more: Any) -> Any:
-        """A request about a position."""
+        """Send a request about a position. Return the result."""
         position = {"line": line, "character": column}
         return self.request(method, {"textDocument": self.document(name), "position": position, **more})

@@ -1,4 +1,4 @@
-"""A mission with an instance of everything that an editor can query."""
+"""A mission that contains each kind of symbol about which an editor can send a request."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ resource Watcher {
 
     init(string[] arg) { name = arg[0]; }
 
-    // Goes up, and returns the height.
+    // Climbs, and returns the height.
     portal rise(real height) emit real {
         fc.takeoff(height);
         return -fc.position()[2];
@@ -40,14 +40,14 @@ coordinator Boss {
     }
 }
 """
-SHARED = """// What happened.
+SHARED = """// An observation.
 class Note {
-    public string what;
+    public string subject;
     public real value;
 
-    public Note(string text, real number) { what = text; value = number; }
+    public Note(string text, real number) { subject = text; value = number; }
 
-    public string text() { return what; }
+    public string text() { return subject; }
 }
 """
 DEPLOYMENT = "//Watcher:eye@sky\n//Boss:boss@sky?eye\n//@desk\n"
@@ -64,7 +64,7 @@ FOLDER = Path("/mission")
 
 
 class MemoryFiles:
-    """Files of a test, and those of the drivers from the disk."""
+    """Files of the mission in memory. Files outside of the mission folder, as of drivers, are on the disk."""
 
     def __init__(self, files: dict[str, str]) -> None:
         self.files = {FOLDER / name: text for name, text in files.items()}
@@ -92,7 +92,7 @@ def place(text: str, marked: str) -> tuple[int, int]:
 
 
 def findings_of(workspace: Workspace, name: str) -> list[tuple[int, str]]:
-    """Line and code of the findings after all steps."""
+    """Do all steps of a workspace. Return the line and code of each finding of a file."""
     found: list[tuple[int, str]] = []
     while (changed := workspace.step()) is not None:
         if FOLDER / name in changed:

@@ -1,4 +1,4 @@
-"""The editor files in deploy/editors: valid, complete, and with the keywords of the language."""
+"""The editor files in deploy/editors are valid and complete, and contain the keywords of the language."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def patterns(node: object) -> Iterator[str]:
 
 
 def grammar(path: Path) -> str:
-    """All patterns of a grammar; each is a regular expression."""
+    """All patterns of a grammar. Fails if a pattern is not a regular expression."""
     found = list(patterns(json.loads(path.read_text(encoding="utf-8"))))
     for one in found:
         re.compile(one)

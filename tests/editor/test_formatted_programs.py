@@ -1,4 +1,4 @@
-"""Every program of the repository is formatted; a layout never changes the compiled code."""
+"""Every program of the repository is formatted, and formatting does not change the compiled code."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_every_program_of_the_repository_is_formatted() -> None:
             continue
         if formatted != source.text:
             different.append(name)
-    assert different == [], "run 'lfield fmt' on them"
+    assert different == [], "run 'lfield fmt' on these programs"
 
 
 def test_every_deployment_of_the_examples_is_formatted() -> None:
@@ -68,8 +68,8 @@ def test_every_deployment_of_the_examples_is_formatted() -> None:
         assert format_deployment(source) == source.text, name
 
 
-def scrambled(text: str, rng: random.Random) -> str:
-    """The same program in a random layout, with random comments."""
+def with_random_layout(text: str, rng: random.Random) -> str:
+    """The same program with a random layout and random comments."""
     pieces = []
     for item in source_items(Source("p.L", text)):
         pieces += [item.text, "\n" if item.ends_line else rng.choice(GAPS)]
@@ -77,10 +77,10 @@ def scrambled(text: str, rng: random.Random) -> str:
 
 
 def check_layouts(text: str, rng: random.Random) -> None:
-    """Check a program in its own layout and in a random one."""
+    """Check the formatting of a program with its own layout and with a random one."""
     registry = registry_of(text)
     compiled = compile_text(text, registry=registry).digest
-    for written in (text, scrambled(text, rng)):
+    for written in (text, with_random_layout(text, rng)):
         formatted = format_program(Source("p.L", written))
         assert format_program(Source("p.L", formatted)) == formatted
         assert compile_text(formatted, registry=registry).digest == compiled

@@ -1,4 +1,4 @@
-"""The layout rules of `lfield fmt`: source text and formatted text for each."""
+"""The layout rules of `lfield fmt`: a source text and its formatted text for each rule."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ STATEMENTS = {
         "x = - 1 ; y = a - - b ; z = ! done && - - a < 0;",
         "x = -1;\ny = a - -b;\nz = !done && - -a < 0;",
     ),
-    "heads have a space, calls have none": (
+    "statement keywords have a space before the bracket, calls have none": (
         "if(a) return ; within(3){ f (1); } while( b ) sleep(1);",
         "if (a) return;\nwithin (3) { f(1); }\nwhile (b) sleep(1);",
     ),
-    "a block in one line stays there": ("together{ a.b() ;c.d(); }", "together { a.b(); c.d(); }"),
-    "a block with a line break is written in lines": (
+    "a one-line block stays on one line": ("together{ a.b() ;c.d(); }", "together { a.b(); c.d(); }"),
+    "a block with a line break has a line for each statement": (
         "together { a.b();\nc.d(); }",
         "together {\n    a.b();\n    c.d();\n}",
     ),
@@ -31,7 +31,7 @@ STATEMENTS = {
         "try {\na();\n}\ncatch (E e) { b(); }\nfinally\n{\nc();\n}",
         "try {\n    a();\n} catch (E e) { b(); }\nfinally {\n    c();\n}",
     ),
-    "clauses behind a block in one line stay in their lines": (
+    "clauses after a one-line block stay on their lines": (
         "try { a(); }\ncatch (E e) { b(); }",
         "try { a(); }\ncatch (E e) { b(); }",
     ),
@@ -43,21 +43,21 @@ STATEMENTS = {
         "for (int i = 0;i<3;i+=1)\nif (a)\nb();\nelse\nc();\nd();",
         "for (int i = 0; i < 3; i += 1)\n    if (a)\n        b();\n    else\n        c();\nd();",
     ),
-    "an else behind a body with a line of its own has one": (
+    "an else after a body on its own line starts a line": (
         "if (a)\nb(); else c();",
         "if (a)\n    b();\nelse c();",
     ),
-    "elements have no spaces inside": (
+    "array elements have no spaces at the braces": (
         'string[ ] s = { "a" , "b" } ; f(new int [ ] { 1 });',
         's = {"a", "b"};\nf(new int[] {1});'.replace("s =", "string[] s =", 1),
     ),
     "for without conditions": ("for(;;){ a(); }", "for (;;) { a(); }"),
-    "each": ("for(T x:xs) a(x);", "for (T x : xs) a(x);"),
-    "line breaks in brackets stay, and are indented": (
+    "for each": ("for(T x:xs) a(x);", "for (T x : xs) a(x);"),
+    "line breaks in brackets stay, with an indentation": (
         "f(a,\n             b\n  + c);\nreturn a\n&& b;",
         "f(a,\n    b\n    + c);\nreturn a\n    && b;",
     ),
-    "brackets that begin with a line break": (
+    "brackets with a line break at their start": (
         "f(\na,\ng(\nb\n)\n);",
         "f(\n    a,\n    g(\n        b\n    )\n);",
     ),
@@ -65,21 +65,21 @@ STATEMENTS = {
         "\n\na();\n\n\n\nif (b) {\n\nc();\n\n}\nd();\n\n",
         "a();\n\nif (b) {\n    c();\n}\nd();",
     ),
-    "comments stay in their lines": (
+    "comments stay on their lines": (
         "a(); // one\n  // two\n/* three */ b(/* four */ c);\nif (d) { // five\ne();\n// six\n}",
         "a(); // one\n// two\n/* three */ b(/* four */ c);\nif (d) { // five\n    e();\n    // six\n}",
     ),
-    "comments below each other stay so": (
+    "aligned comments stay aligned": (
         "a();    // one\nbbb();  // two\n        // three\nc(); // four",
         "a();   // one\nbbb(); // two\n       // three\nc(); // four".replace("   //", "    //").replace(
             "bbb(); ", "bbb();  "
         ),
     ),
-    "a comment with lines moves as a whole": (
+    "a comment of several lines is indented as a whole": (
         "if (a) {\n  /* one\n     two\n\n   three */\n  b();\n}",
         "if (a) {\n    /* one\n       two\n\n     three */\n    b();\n}",
     ),
-    "types have no spaces inside but behind commas": (
+    "types have spaces only after commas": (
         "map < string,map<Phase , int[ ]>> [ ] m = new map< Phase,real > ();\nfuture <void> f=async a.b();",
         "map<string, map<Phase, int[]>>[] m = new map<Phase, real>();\nfuture<void> f = async a.b();",
     ),
@@ -87,9 +87,9 @@ STATEMENTS = {
         "map</* name */ string, int> m = null;",
         "map < /* name */ string, int > m = null;",
     ),
-    "tabs and returns": ("\tif (a) {\r\n\t\tb();\t// c\r\n\t}", "if (a) {\n    b();    // c\n}"),
+    "tabs and carriage returns": ("\tif (a) {\r\n\t\tb();\t// c\r\n\t}", "if (a) {\n    b();    // c\n}"),
 }
-#: A word that makes a line too long for the rules of long lines.
+#: A name that makes lines longer than the limit.
 LONG = "a" * 40
 
 
@@ -100,7 +100,7 @@ def method(statements: str) -> str:
 
 
 def formatted(text: str) -> str:
-    """The formatted program; a second time changes nothing."""
+    """The formatted program. Fails if formatting it again changes it."""
     once = format_program(Source("p.L", text))
     assert format_program(Source("p.L", once)) == once
     return once
@@ -112,7 +112,7 @@ def test_statements_follow_the_layout_rule(rule: str) -> None:
     assert formatted("class C{public void f(){\n" + written + "\n}}") == method(expected)
 
 
-def test_members_and_units_begin_lines() -> None:
+def test_members_and_units_start_on_new_lines() -> None:
     text = 'include  < mavlink/copter.L > ; include "a.L";resource  R{int x; init ( string[]arg ){} '
     text += "portal p()emit int[]{return x;}}"
     assert formatted(text) == (
@@ -127,14 +127,14 @@ def test_members_and_units_begin_lines() -> None:
 @pytest.mark.parametrize(
     ("written", "expected"),
     [
-        # The comma within the fewest brackets, as late as possible.
+        # After the last possible comma of the outermost brackets.
         (f"f({LONG}, g({LONG}, 1), {LONG}, b);", f"f({LONG}, g({LONG}, 1),\n    {LONG}, b);"),
-        # The weakest operator.
+        # Before the operator with the lowest precedence.
         (f"x = {LONG} * {LONG} || {LONG} && b;", f"x = {LONG} * {LONG}\n    || {LONG} && b;"),
-        # A block has lines before its statements are broken; a body too.
+        # A block or a body is broken into lines before its statements are broken.
         (f"if ({LONG}) {{ {LONG}(); {LONG}(); }}", f"if ({LONG}) {{\n    {LONG}();\n    {LONG}();\n}}"),
         (f"if ({LONG}) if ({LONG}) f({LONG});", f"if ({LONG})\n    if ({LONG}) f({LONG});"),
-        # A comment at the end does not count, and a text is not broken.
+        # The length of a comment at the end is ignored, and a string is not broken.
         (f"f({LONG}); // {LONG} {LONG}", f"f({LONG}); // {LONG} {LONG}"),
         (f'f("{LONG} {LONG} {LONG}");', f'f("{LONG} {LONG} {LONG}");'),
     ],
@@ -162,7 +162,7 @@ def test_program_with_syntax_errors_is_not_formatted(text: str) -> None:
     assert refused.value.diagnostics[0].span.source.name == "p.L"
 
 
-def test_only_white_space_of_a_deployment_is_changed() -> None:
+def test_formatting_changes_only_white_space_of_a_deployment() -> None:
     text = "\n\n  //A:a@h?x&y   # why\t\n\n\n# all\nB:b@h:8181\r\n//@w\n\n"
     assert format_deployment(Source("m.dL", text)) == "//A:a@h?x&y   # why\n\n# all\nB:b@h:8181\n//@w\n"
     with pytest.raises(ProgramError):

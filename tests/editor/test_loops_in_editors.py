@@ -34,15 +34,15 @@ def workspace() -> Workspace:
     return made
 
 
-def test_loop_head_has_the_layout_of_other_heads() -> None:
+def test_loop_header_has_the_layout_of_other_headers() -> None:
     text = "resource R{\nloop  a at(3+n)*2 priority - 2 when( b&&c ){at=-1;priority=n - 1;}\n"
     text += "loop b every 0.1{\n}\nprivate int when (int at){return at;}\n}\n"
-    once = format_program(Source("p.L", text))
-    assert once == (
+    formatted = format_program(Source("p.L", text))
+    assert formatted == (
         "resource R {\n    loop a at (3 + n) * 2 priority -2 when (b && c) { at = -1; priority = n - 1; }\n"
         "    loop b every 0.1 {\n    }\n    private int when(int at) { return at; }\n}\n"
     )
-    assert format_program(Source("p.L", once)) == once
+    assert format_program(Source("p.L", formatted)) == formatted
 
 
 def test_loops_are_in_the_outline(workspace: Workspace) -> None:
@@ -58,7 +58,7 @@ def test_hover_on_a_loop_name_shows_its_comment(marked: str, workspace: Workspac
     assert "Stops before people." in shown
 
 
-def test_loop_completes_two_methods_and_hides_its_fields(workspace: Workspace) -> None:
+def test_completion_of_a_loop_has_two_methods_and_no_generated_fields(workspace: Workspace) -> None:
     text = PROGRAM.replace("near = true;", "near = stop.|;")
     workspace.put(MISSION, text.replace("|", ""))
     assert {one.text for one in workspace.complete(MISSION, text.index("|"))} == {"running", "overruns"}
@@ -69,6 +69,6 @@ def test_loop_completes_two_methods_and_hides_its_fields(workspace: Workspace) -
     assert not {"stop_running", "stop_engaged", "stop_overruns"} & found
 
 
-def test_loop_is_renamed_everywhere(workspace: Workspace) -> None:
+def test_all_references_of_a_loop_are_renamed(workspace: Workspace) -> None:
     edits = workspace.rename(MISSION, PROGRAM.index("stop at"), "halt")
     assert len(edits) == PROGRAM.count("stop")

@@ -1,4 +1,4 @@
-"""A session of an editor with `lfield lsp`: 40 requests to one process and their answers."""
+"""A session of an editor with `lfield lsp`: 40 requests to a server process, and the answers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def session(tmp_path: Path) -> Iterator[LspSession]:
 
 
 def targets(locations: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    """The files of locations, and the text there."""
+    """The file name and the text of each location."""
     found = []
     for one in locations:
         name = one["uri"].rpartition("/")[2]
@@ -36,7 +36,7 @@ def targets(locations: list[dict[str, Any]]) -> list[tuple[str, str]]:
     return found
 
 
-def test_session_of_40_requests(session: LspSession) -> None:
+def test_session_answers_40_requests(session: LspSession) -> None:
     assert session.capabilities["positionEncoding"] == "utf-16"  # 1: initialize
     session.open("mission.L")
     session.open("mission.dL")
@@ -59,7 +59,7 @@ def test_session_of_40_requests(session: LspSession) -> None:
         ("fc.posi|tion", "returns m"),
         ("Mav|link fc", "driver `mavlink`"),
         ("note.te|xt()", "string Note.text()"),
-        ("new No|te", "What happened."),
+        ("new No|te", "An observation."),
         ("f2|s(height", "string f2s(real, int)"),
         ("find|Lift", "Lift[] findLift"),
         ("lifts[0].li|ft", "Lift.lift(real height)"),
@@ -188,7 +188,7 @@ def test_text_without_a_file_has_findings(session: LspSession) -> None:
 
 
 @pytest.mark.few(0)
-def test_missing_pygls_is_an_error_with_the_command_to_install_it(tmp_path: Path) -> None:
+def test_error_without_pygls_has_the_command_that_installs_it(tmp_path: Path) -> None:
     without = (
         "import sys; sys.modules['pygls'] = None\nfrom lfield.cli.main import main\nsys.exit(main(['lsp']))"
     )

@@ -32,7 +32,7 @@ resource Arm {
         phase = to;
         return square(CRUISE) + clipped(1.0);
     }
-    private string told() { return phase.name(); }
+    private string phaseName() { return phase.name(); }
 }
 """
 SHARED = """const real SLOW = 2.5;
@@ -57,7 +57,7 @@ def test_program_with_top_level_symbols_has_no_findings(workspace: Workspace) ->
     assert findings_of(workspace, "mission.L") == []
 
 
-def test_findings_follow_edits_of_declarations(workspace: Workspace) -> None:
+def test_findings_are_updated_after_edits_of_declarations(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.L") == []
     workspace.put(MISSION, PROGRAM.replace("LIFT }", "RAISE }"))
     assert findings_of(workspace, "mission.L") == [(15, "L322")]
@@ -145,7 +145,7 @@ def test_outline_of_top_level_symbols(workspace: Workspace) -> None:
         ("CRUISE", "constant", []),
         ("Phase", "enum", ["SEARCH", "LIFT"]),
         ("square", "function", []),
-        ("Arm", "resource", ["phase", "init", "go", "told"]),
+        ("Arm", "resource", ["phase", "init", "go", "phaseName"]),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Answers to an editor about a mission, without a server."""
+"""Requests of an editor about a mission, without a server process."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ def iter_steps(workspace: Workspace):
         yield from changed.items()
 
 
-def test_findings_follow_the_edits(workspace: Workspace) -> None:
+def test_findings_are_updated_after_edits(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.L") == []
     workspace.put(MISSION, PROGRAM.replace("name = arg[0]", "nam = arg[0]"))
     assert findings_of(workspace, "mission.L") == [(9, "L301")]
-    # Lines above move the finding, and the findings of other units are not repeated.
+    # New lines above a unit move its finding, and the findings of other units are not repeated.
     workspace.put(MISSION, "\n\n" + PROGRAM.replace("name = arg[0]", "nam = arg[0]"))
     assert findings_of(workspace, "mission.L") == [(11, "L301")]
     # A changed declaration changes findings of other units.
@@ -114,7 +114,7 @@ def test_deployment_is_checked_with_its_program(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.dL") == [(2, "L716")]
 
 
-def test_closed_text_counts_no_longer(workspace: Workspace) -> None:
+def test_closed_text_is_ignored(workspace: Workspace) -> None:
     workspace.put(SHARED_FILE, SHARED.replace("string text()", "string txt()"))
     assert [code for _, code in findings_of(workspace, "mission.L")] == ["L305"]
     assert workspace.close(SHARED_FILE) == {}
@@ -125,7 +125,7 @@ def test_closed_text_counts_no_longer(workspace: Workspace) -> None:
     assert list(iter_steps(workspace)) == []
 
 
-def test_file_that_is_deleted_is_missing(environment: InstalledEnvironment) -> None:
+def test_deleted_included_file_is_reported(environment: InstalledEnvironment) -> None:
     files = MemoryFiles(FILES)
     workspace = Workspace(files, environment)
     workspace.put(MISSION, PROGRAM)
@@ -135,7 +135,7 @@ def test_file_that_is_deleted_is_missing(environment: InstalledEnvironment) -> N
     assert findings_of(workspace, "mission.L") == [(2, "L601")]
 
 
-def test_devices_file_is_no_program(workspace: Workspace) -> None:
+def test_devices_file_is_not_checked_as_a_program(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.L") == []
     workspace.put(BOUND, DEVICES)
     assert [path for path, found in iter_steps(workspace) if found] == []
@@ -144,14 +144,14 @@ def test_devices_file_is_no_program(workspace: Workspace) -> None:
 
 @pytest.fixture
 def units() -> Iterator[Callable[[], int]]:
-    """Counts the declared units, where no collector of garbage runs."""
+    """A function that counts the units in memory. The garbage collector is off."""
     gc.disable()
     yield lambda: sum(type(one) is tree.Unit for one in gc.get_objects())
     gc.enable()
 
 
-def test_edit_frees_the_declarations_before_it(workspace: Workspace, units: Callable[[], int]) -> None:
-    """The language server collects no garbage among them."""
+def test_edit_frees_the_previous_declarations(workspace: Workspace, units: Callable[[], int]) -> None:
+    """The language server disables the garbage collector, so reference counts must free the declarations."""
     workspace.put(DEPLOYED, DEPLOYMENT)
     assert list(iter_steps(workspace))
     before = units()
@@ -190,7 +190,7 @@ def test_findings_equal_those_of_the_compiler(path: Path, environment: Installed
         ("find|Watcher(arg", ["Watcher findWatcher(string id)"]),
         (
             "first.ri|se(2.0)",
-            ["portal Watcher.rise(real height) emit real", "Goes up, and returns the height."],
+            ["portal Watcher.rise(real height) emit real", "Climbs, and returns the height."],
         ),
         ("first.ri|se(3)", ["portal Watcher.rise(int height) emit real"]),
         ("fc.take|off", ["void Mavlink.takeoff(real height)", "`height` (m)", "waits until it is done"]),
@@ -198,7 +198,7 @@ def test_findings_equal_those_of_the_compiler(path: Path, environment: Installed
         ("Mav|link fc", ["device Mavlink", "driver `mavlink`", "`takeoff`"]),
         ("f|c;", ["Mavlink fc", "its autopilot"]),
         ("note.te|xt()", ["public string Note.text()"]),
-        ("new No|te", ["class Note", "What happened."]),
+        ("new No|te", ["class Note", "An observation."]),
         ("note.va|lue", ["real value"]),
         ("f2|s(height", ["string f2s(real, int)", "real to the shortest text"]),
         ("no|te.text", ["Note note"]),
@@ -241,10 +241,10 @@ def test_hover_in_a_deployment(workspace: Workspace) -> None:
         ("no|te.text", MISSION, "note = new"),
         ("note.te|xt", SHARED_FILE, "text() {"),
         ("new No|te", SHARED_FILE, "Note {"),
-        ('"sha|red.L"', SHARED_FILE, "// What"),
+        ('"sha|red.L"', SHARED_FILE, "// An"),
         ("arg|[1]", MISSION, "arg) {\n        Watcher"),
         ("Watcher fi|rst", MISSION, "first = "),
-        # From a declaration into the deployment, and into the devices file.
+        # From a declaration to the deployment and to the devices file.
         ("resource Wat|cher", DEPLOYED, "Watcher:eye"),
         ("Mavlink f|c", BOUND, "fc: {"),
         ('findWatcher("e|ye")', DEPLOYED, "eye@sky"),
@@ -287,7 +287,7 @@ def test_definition_in_a_deployment(workspace: Workspace) -> None:
     [
         ("first.|", {"rise", "agent", "host"}, {"name", "fc", "print"}),
         ("first.ri|", {"rise"}, {"print"}),
-        ("note.|", {"what", "value", "text"}, {"Note"}),
+        ("note.|", {"subject", "value", "text"}, {"Note"}),
         ("new Note(|", {"height", "note", "print", "max"}, {"write"}),
         ("Note other = new |", {"Note", "Exception"}, {"Watcher", "Mavlink"}),
         ("fin|", {"findWatcher", "findLift", "finally"}, set()),
@@ -303,8 +303,8 @@ def test_definition_in_a_deployment(workspace: Workspace) -> None:
         ("as|", {"async"}, set()),
         ("// first.|", set(), {"rise"}),
         ("lifts[0].|", {"lift", "agent", "score"}, {"facts"}),
-        ("map<string, Note> notes = new map<string, Note>(); notes.|", {"keys", "contains"}, {"what"}),
-        ("map<string, map<int, Note>> all = null; all[arg[0]][1].|", {"what"}, {"keys"}),
+        ("map<string, Note> notes = new map<string, Note>(); notes.|", {"keys", "contains"}, {"subject"}),
+        ("map<string, map<int, Note>> all = null; all[arg[0]][1].|", {"subject"}, {"keys"}),
         ("(new Note(first.agent(), 1.0)).|", {"value"}, set()),
     ],
 )
@@ -429,7 +429,7 @@ def test_outline_of_program_and_deployment(workspace: Workspace) -> None:
     assert outline == [("eye", "Watcher on sky"), ("boss", "Boss on sky"), ("desk", "witness")]
 
 
-def test_format_of_open_texts(workspace: Workspace) -> None:
+def test_open_texts_are_formatted(workspace: Workspace) -> None:
     workspace.put(MISSION, PROGRAM.replace("    ", "\t").replace(" = ", "="))
     assert workspace.format(MISSION) == PROGRAM.replace("fc;     //", "fc;  //")
     workspace.put(MISSION, "class A {")

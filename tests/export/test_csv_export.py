@@ -1,11 +1,11 @@
-"""A stream as CSV tables."""
+"""Export of a stream to CSV tables."""
 
 from __future__ import annotations
 
 import csv
 import io
 
-from export_script import FRAMED, START, Team, flight
+from sample_flight import FRAMED, START, Team, flight
 
 from lfield.export.export_input import StreamNotice
 from lfield.export.tables.csv_tables import export_csv
@@ -13,7 +13,7 @@ from lfield.wire import events
 
 
 class Folder(dict[str, "Table"]):
-    """Tables in memory."""
+    """A folder of tables in memory."""
 
     def open(self, name: str) -> Table:
         assert name not in self
@@ -25,7 +25,7 @@ class Folder(dict[str, "Table"]):
 
 
 class Table(io.StringIO):
-    """A file whose text is kept after its close."""
+    """A file in memory that keeps its text after it is closed."""
 
     text = ""
 
@@ -49,7 +49,7 @@ def test_each_kind_and_each_device_has_a_table():
     assert names == ["agents.csv", "events.csv", "hops.csv", "links.csv", "notices.csv", *devices]
 
 
-def test_hop_is_one_row_for_both_hosts():
+def test_events_of_both_hosts_of_a_hop_are_one_row():
     folder, _ = exported([*flight(), Team().event(9.0, "x", events.MigrationArrived("late", 2, 8, "y", 5))])
     first, second, third = folder.rows("hops.csv")
     assert first == first | {"from": "alpha", "to": "bravo", "portal": "climb", "size [B]": "600"}
@@ -60,7 +60,7 @@ def test_hop_is_one_row_for_both_hosts():
     assert (third["agent"], third["left"], third["arrived"]) == ("late", "", "1700000009.000000")
 
 
-def test_telemetry_has_a_column_with_unit_per_number():
+def test_telemetry_has_a_column_with_its_unit_for_each_number():
     folder, _ = exported(flight())
     rows = folder.rows("telemetry_wing.fc.csv")
     assert [row["position[0] [m]"] for row in rows] == ["30.0", "31.0"]
@@ -84,14 +84,14 @@ def test_late_columns_are_empty_in_earlier_rows():
 def test_event_has_its_cause_and_all_fields():
     folder, _ = exported(flight())
     rows = folder.rows("events.csv")
-    came = next(row for row in rows if row["kind"] == "came")
-    assert (came["cause_host"], came["cause_number"], came["agent"]) == ("alpha", "3", "pilot")
-    assert came["fields"] == '{"generation":1,"sequence":1,"of":"alpha","size":600}'
-    # A line feed would break the row for simple readers.
+    arrival = next(row for row in rows if row["kind"] == "came")
+    assert (arrival["cause_host"], arrival["cause_number"], arrival["agent"]) == ("alpha", "3", "pilot")
+    assert arrival["fields"] == '{"generation":1,"sequence":1,"of":"alpha","size":600}'
+    # Simple readers would read a line feed as the end of the row.
     assert [row["text"] for row in rows if row["kind"] == "printed"] == ["up, ", "and away\\n"]
 
 
-def test_device_names_invalid_in_files_get_tables_of_their_own():
+def test_devices_with_invalid_file_names_have_separate_tables():
     team = Team()
     stream = [team.sample(0.0, "a", name, x=1) for name in ("a/b.c", "a_b.c", "../c.d", "n" * 300 + ".c")]
     _, names = exported(stream)

@@ -1,4 +1,4 @@
-"""Live messages in the order of their log times, as mcap's own reader finds them in the file."""
+"""Live messages are recorded in the order of their log times; the reader of the package `mcap` checks it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import io
 from itertools import pairwise
 
 import pytest
-from export_script import FRAMED, START, Team
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from sample_flight import FRAMED, START, Team
 
 from lfield.cli.event_recording import EventRecording
 from lfield.clock import ManualClock
@@ -55,7 +55,7 @@ def test_log_times_never_decrease_for_any_host_clocks(steps) -> None:
     assert all(before <= after for before, after in pairwise(drained))
 
 
-def test_message_waits_for_earlier_ones_at_most_the_window() -> None:
+def test_message_waits_at_most_the_window_for_earlier_messages() -> None:
     clock = ManualClock(START)
     order = MessageOrder(clock)
     order.add(message(START + 0.2))
@@ -66,7 +66,7 @@ def test_message_waits_for_earlier_ones_at_most_the_window() -> None:
     assert log_times(order, everything=False) == [START + 0.1, START + 0.2]
 
 
-def test_message_of_a_wrong_clock_does_not_move_later_ones() -> None:
+def test_message_of_a_wrong_clock_does_not_delay_later_messages() -> None:
     clock = ManualClock(START)
     order = MessageOrder(clock)
     order.add(message(START))
@@ -76,7 +76,9 @@ def test_message_of_a_wrong_clock_does_not_move_later_ones() -> None:
 
 
 @pytest.mark.parametrize("wall", [0.0, START + 1e8])
-def test_wrong_wall_clock_of_the_operator_is_tolerated(wall: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_wall_clock_of_the_operator_does_not_change_log_times(
+    wall: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock = ManualClock(START)
     monkeypatch.setattr(clock, "time", lambda: wall)
     order = MessageOrder(clock)
@@ -113,5 +115,5 @@ def test_live_recording_orders_events_of_several_hosts(tmp_path) -> None:
     found = [each for _, _, each in reader.iter_messages("/events", log_time_order=False)]
     published = [round(each.publish_time / 1e9 - START, 3) for each in found]
     assert published == [0.0, 0.25, 0.375, 0.5, 1.5, 1.75, 2.0, 5.0, 5.125, 4.0, 8.0]
-    # The last but one was later than the window.
+    # The last event but one arrived after the window, so its log time is later than its time.
     assert [round(each.log_time / 1e9 - START, 3) for each in found] == [*published[:-2], 5.125, 8.0]

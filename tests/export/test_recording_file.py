@@ -8,8 +8,8 @@ import os
 from pathlib import Path
 
 import pytest
-from export_script import FRAMED, by_topic, flight
 from mcap.reader import make_reader
+from sample_flight import FRAMED, by_topic, flight
 
 from lfield.cli.event_recording import event_recording
 from lfield.cli.output_files import RecordingFile
@@ -21,13 +21,13 @@ from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 
 def test_existing_file_is_kept(tmp_path):
     path = tmp_path / "flight.mcap"
-    path.write_bytes(b"precious")
+    path.write_bytes(b"content")
     with pytest.raises(OutputFileError):
         RecordingFile(path)
     (tmp_path / "dangling").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OutputFileError):
         RecordingFile(tmp_path / "dangling")
-    assert path.read_bytes() == b"precious"
+    assert path.read_bytes() == b"content"
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -37,7 +37,7 @@ def test_unwritable_path_is_an_error(path):
         RecordingFile(path)
 
 
-def test_device_file_is_written():
+def test_write_error_of_a_device_file_is_raised_at_each_flush():
     file = RecordingFile(Path("/dev/full"))
     file.write(b"x")
     with pytest.raises(OutputFileError):
@@ -48,7 +48,7 @@ def test_device_file_is_written():
 
 
 class SmallDisk:
-    """A disk with this many bytes, and one file."""
+    """A disk with `size` bytes and one file."""
 
     def __init__(self, size: int) -> None:
         self.size, self.write_bytes = size, os.write
@@ -68,7 +68,7 @@ def test_recording_on_a_full_disk_is_complete_up_to_the_last_flush(size, tmp_pat
     monkeypatch.setattr(os, "write", SmallDisk(size).write)
     flushed = 0
 
-    def fly() -> None:
+    def record() -> None:
         nonlocal flushed
         while True:
             for item in flight():
@@ -77,7 +77,7 @@ def test_recording_on_a_full_disk_is_complete_up_to_the_last_flush(size, tmp_pat
                 flushed = recording.messages
 
     with pytest.raises(OutputFileError):
-        fly()
+        record()
     with pytest.raises(OutputFileError):
         recording.finish()
     file.close()

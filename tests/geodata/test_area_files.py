@@ -1,4 +1,4 @@
-"""KML and GeoJSON: accepted files, and reasons of refusal for files and areas."""
+"""KML and GeoJSON: accepted files, and the errors of invalid files and areas."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def codes(data):
 # -- accepted files ----------------------------------------------------------------------------------------
 
 
-def test_polygon_of_kml():
+def test_polygon_is_read_from_kml():
     (shape,) = read(kml(polygon()))
     assert (shape.name, shape.kind, shape.corners, shape.holes) == ("p1", "polygon", CORNERS, 0)
     assert not shape.has_heights
@@ -77,13 +77,13 @@ def test_polygon_of_kml():
         b"\xef\xbb\xbf" + geojson(ring(*((east, north) for north, east in CORNERS))),
     ],
 )  # fmt: skip
-def test_notations_of_the_same_polygon(data):
+def test_notations_of_the_same_polygon_have_the_same_corners(data):
     (shape,) = read(data)
     assert shape.corners == CORNERS
     assert shape_findings(shape) == []
 
 
-def test_lines_points_and_multi_geometries():
+def test_lines_points_and_multi_geometries_are_read_as_single_shapes():
     line = "<LineString><coordinates>8,47 8.1,47</coordinates></LineString>"
     point = "<Point><coordinates>8,47,3</coordinates></Point>"
     shapes = read(kml(f"<MultiGeometry>{line}{point}</MultiGeometry>", line))
@@ -132,9 +132,9 @@ def test_area_files_are_recognised():
         ([(8.0, 47.0), (8.1, 47.0)], "M201"),
         ([(8.0, 47.0), (8.1, 47.0), (8.0, 47.0)], "M201"),
         ([(8.0, 47.0), (8.1, 47.1), (8.1, 47.0), (8.0, 47.1)], "M202"),
-        # A spike: there and back on the same line.
+        # A spike: two edges on the same line.
         ([(8.0, 47.0), (8.2, 47.0), (8.1, 47.0), (8.1, 47.1)], "M202"),
-        # A corner on an edge of other corners.
+        # A corner on an edge between two other corners.
         ([(8.0, 47.0), (8.2, 47.0), (8.2, 47.1), (8.1, 47.0), (8.0, 47.1)], "M202"),
         ([(179.9, 10.0), (-179.9, 10.0), (-179.9, 11.0), (179.9, 11.0)], "M203"),
         ([(0.0, 80.0), (90.0, 80.0), (180.0, 80.0), (-90.0, 80.0)], "M204"),
@@ -165,12 +165,12 @@ def test_holes_heights_and_tiny_areas_have_findings():
     many = " ".join(f"{8 + each * 1e-6:.6f},47" for each in range(MAX_CORNERS + 1))
     assert codes(kml(f"<LineString><coordinates>{many}</coordinates></LineString>")) == ["M208"]
     assert codes(kml(polygon(many))) == ["M208"]
-    # A line may end where it began, or on the other side of the Earth.
+    # A line may be longer than half of a circle of latitude.
     assert codes(kml("<LineString><coordinates>-100,47 0,47 100,47</coordinates></LineString>")) == []
 
 
 @given(st.integers(3, 40), st.floats(0.0, 1.0), st.integers(0, 1000))
-def test_star_is_simple_in_every_order_of_its_corners(count, start, seed):
+def test_star_has_no_findings_in_both_orders_of_its_corners(count, start, seed):
     radii = [0.01 + 0.01 * ((each * seed) % 7) for each in range(count)]
     corners = [
         (8.0 + r * math.cos(a), 47.0 + r * math.sin(a))
@@ -190,7 +190,7 @@ _BOMB = "<!DOCTYPE kml [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
 
 
 @pytest.mark.parametrize(
-    ("data", "where"),
+    ("data", "position"),
     [
         (kml("<name>&j;</name>", prologue=_BOMB + "]>"), "line 1"),
         (kml("<name>&x;</name>", prologue=_ENTITY.format("SYSTEM 'file:///etc/passwd'")), "line 1"),
@@ -228,10 +228,10 @@ _BOMB = "<!DOCTYPE kml [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
         (b"[]", ""),
     ],
 )
-def test_malicious_and_foreign_files_are_refused(data, where):
+def test_malicious_and_foreign_files_are_refused(data, position):
     with pytest.raises(MissionFileError) as caught:
         read(data, "f.geojson")
-    assert caught.value.where == where
+    assert caught.value.where == position
     assert caught.value.file == "f.geojson"
 
 

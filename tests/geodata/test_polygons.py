@@ -1,4 +1,4 @@
-"""Geometry on a plane, compared with brute force."""
+"""Geometry on a plane: measures of a square, and crossing edges compared with a check of all pairs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_plane_coordinates_are_metres_east_and_north():
     assert plane_of([(47.0, 8.0), (47.2, 8.2)]).point((47.1, 8.1)) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def test_measures_of_a_square():
+def test_area_length_and_distances_of_a_square():
     assert area(SQUARE) == 100.0
     assert length(SQUARE) == 30.0
     assert is_inside(SQUARE, (5.0, 5.0))
@@ -65,7 +65,7 @@ def test_sweep_equals_the_comparison_of_all_pairs(corners):
 
 
 def _segments_meet(a, b, c, d):
-    """By orientation and inclusion, with whole numbers."""
+    """Whether the segments ab and cd have a common point. Exact for integer coordinates."""
 
     def side(p, q, r):
         value = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])

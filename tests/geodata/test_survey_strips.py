@@ -1,4 +1,4 @@
-"""Strips of a survey: they cover each point of a polygon, with the fewest strips for the spacing."""
+"""Strips of a survey: the minimum number of strips that cover a polygon with the given spacing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def square(width, height):
 
 @st.composite
 def stars(draw):
-    """Polygons without crossings, mostly concave: corners at rising angles around a point."""
+    """Polygons without crossing edges, mostly concave: the corners have increasing angles around a point."""
     count = draw(st.integers(3, 12))
     radii = draw(st.lists(st.floats(5.0, 120.0), min_size=count, max_size=count))
     turn = draw(st.floats(0.0, 1.0))
@@ -39,32 +39,32 @@ def test_each_point_is_within_half_a_spacing_of_a_strip(points, spacing, heading
     strips = survey_strips(corners, spacing, heading)
     plane = plane_of(corners)
     outline = plane.points(corners)
-    ways = [(plane.point(strip.start), plane.point(strip.end)) for strip in strips]
+    lines = [(plane.point(strip.start), plane.point(strip.end)) for strip in strips]
     inside = outline + [
         point
         for point in ((rng.uniform(-120, 120), rng.uniform(-120, 120)) for _ in range(100))
         if is_inside(outline, point)
     ]
     for point in inside:
-        assert min(distance_to_way(point, *way) for way in ways) <= spacing / 2 + 5e-3
-    # All are parallel to the heading.
-    for (x, y), (u, v) in ways:
+        assert min(distance_to_way(point, *line) for line in lines) <= spacing / 2 + 5e-3
+    # All strips are parallel to the heading.
+    for (x, y), (u, v) in lines:
         across = (u - x) * math.cos(math.radians(heading)) - (v - y) * math.sin(math.radians(heading))
         assert abs(across) < 1e-3
 
 
 def test_field_of_60_by_40_metres_has_four_strips():
     strips = survey_strips(square(60.0, 40.0), 15.0, 0.0)
-    ways = [(PLANE.point(strip.start), PLANE.point(strip.end)) for strip in strips]
+    lines = [(PLANE.point(strip.start), PLANE.point(strip.end)) for strip in strips]
     expected = [
         ((7.5, 0), (7.5, 40)),
         ((22.5, 40), (22.5, 0)),
         ((37.5, 0), (37.5, 40)),
         ((52.5, 40), (52.5, 0)),
     ]
-    for way, right in zip(ways, expected, strict=True):
-        assert way[0] == pytest.approx(right[0], abs=0.01)
-        assert way[1] == pytest.approx(right[1], abs=0.01)
+    for line, expected_line in zip(lines, expected, strict=True):
+        assert line[0] == pytest.approx(expected_line[0], abs=0.01)
+        assert line[1] == pytest.approx(expected_line[1], abs=0.01)
     numbers = strip_numbers(strips)
     assert (len(numbers), tuple(numbers[2:4])) == (16, strips[0].end)
     assert [round(strip.length) for strip in survey_strips(square(60.0, 40.0), 15.0, 90.0)] == [60, 60, 60]

@@ -14,7 +14,7 @@ PAGE = Path(__file__).parents[3] / "lfield" / "docs" / "bytecode.md"
 START_MARKER = "<!-- table: begin; written by python tests/docs/reference/bytecode_reference.py --write -->"
 END_MARKER = "<!-- table: end -->"
 
-#: Headings by the first opcode they stand above.
+#: Headings by the first opcode of the section.
 _SECTIONS = {
     10: "Jumps (J.1)",
     100: "Moves, fields, elements (J.2, J.11)",
@@ -52,7 +52,7 @@ def reference() -> str:
 
 
 def page_with_table(page: str) -> str:
-    """A page with its table replaced; ValueError when it has no markers."""
+    """A page with the current table. Raises ValueError if the page has no markers."""
     before, begin, rest = page.partition(START_MARKER)
     _, end, after = rest.partition(END_MARKER)
     if not (begin and end):

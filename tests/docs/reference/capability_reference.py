@@ -32,7 +32,7 @@ from `capabilities/`: `python tests/docs/reference/capability_reference.py --wri
 
 _SAME = "A portal without a line is mapped to the portal of the same name, with the same parameters.\n\n"
 
-#: Rows that repeat what the taxonomy, the providers or the rules hold.
+#: Rows whose content is also in the taxonomy, the providers or the rules.
 _REPEATED = {"id", "stated by", "attributes", "serves"}
 
 
@@ -58,7 +58,7 @@ def _sorted(found: Mapping[str, T]) -> list[T]:
 
 
 def _term(registry: Registry, term: TaxonomyTerm) -> Sheet:
-    """A term with its primitives; the terms below it are the next rows. A name as in the id is omitted."""
+    """A term with its primitives. The terms below it are the next rows. A name equal to the id is omitted."""
     sheet = sheets.term_sheet(registry, term)
     called = tuple(map(code, primitives_of(registry, term.id)))
     plain = term.id.rpartition(".")[2].replace("_", " ")
@@ -88,12 +88,12 @@ def _brief(sheet: Sheet) -> Sheet:
 
 
 def _table(found: Iterable[Sheet]) -> str:
-    """Sheets as the rows of a table, with a column for each label that any of them has."""
+    """Sheets as the rows of a table, with a column for each label of a sheet."""
     rows = {sheet.name: dict(sheet.rows) for sheet in found}
-    labels = list(dict.fromkeys(label for said in rows.values() for label in said))
+    labels = list(dict.fromkeys(label for row in rows.values() for label in row))
     cells = [["name" if "name" not in labels else "id", *labels], ["---"] * (1 + len(labels))]
     cells += [
-        [code(name), *("; ".join(said.get(label, ())) for label in labels)] for name, said in rows.items()
+        [code(name), *("; ".join(row.get(label, ())) for label in labels)] for name, row in rows.items()
     ]
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in cells)
 
@@ -103,7 +103,7 @@ def _chapters(found: Iterable[Sheet]) -> str:
 
 
 def _list(sheet: Sheet) -> Iterator[str]:
-    """A point for each row: short lines one behind the other, those that have others below them in a list."""
+    """A list item for each row: its lines are joined by `;`, or are a nested list if some are indented."""
     for label, lines in sheet.rows:
         if not any(line.startswith("    ") for line in lines):
             yield f"- {label}: {'; '.join(lines)}"

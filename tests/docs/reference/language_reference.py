@@ -33,7 +33,7 @@ _WHERE = {"any": "everywhere", "resource": "resources", "coordinator": "coordina
 
 
 def updated(document: str) -> str:
-    """The document with the table as it is now."""
+    """The document with the current table."""
     return _between(document, "library", library_table())
 
 
@@ -66,7 +66,7 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 
 
 def _between(document: str, name: str, content: str) -> str:
-    """The document with new content between the markers of that name. ValueError when they are missing."""
+    """The document with new content between the markers of that name. Raises ValueError without markers."""
     start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
     before, found, rest = document.partition(start)
     _, closed, after = rest.partition(end)

@@ -1,4 +1,4 @@
-"""The language reference agrees with the front end."""
+"""The language reference has the library, the reserved words and the exceptions of the front end."""
 
 import re
 

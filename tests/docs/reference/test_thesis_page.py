@@ -1,4 +1,4 @@
-"""The page of the thesis names existing tests, all productions of the appendix, and all opcodes."""
+"""The page about the thesis names existing tests, all productions of the grammar, and all opcodes."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ INSTRUCTIONS = {
     "J.9": "write_int write_float write_str array_len str_concat i2f f2i yield s2i s2f",
     "J.10": "find findall",
 }
-#: L has no character type.
+#: Instructions for characters: L has no character type.
 OF_CHARACTERS = {"eqc", "slec", "sgec", "snec", "sltc", "sgtc"}
-#: Possible states of a row, each with whether it needs a test.
+#: The possible states of a row; True if a row in this state needs a test.
 STATES = {
     "implemented": True,
     "implemented differently": True,
@@ -55,7 +55,7 @@ class Row:
 
     @property
     def tests(self) -> list[str]:
-        """The names of its tests."""
+        """The names of the tests of the row."""
         return re.findall(r"`([^`]+)`", self.cells["test"])
 
 
@@ -77,7 +77,7 @@ def rows(text: str) -> list[Row]:
 
 @cache
 def functions(path: Path) -> frozenset[str]:
-    """The functions of a file."""
+    """The names of the functions of a file."""
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     return frozenset(node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
 
@@ -93,7 +93,7 @@ def cases(path: Path, function: str) -> set[str]:
 
 
 def missing(name: str, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The missing part of `file::function[case]`; '' if all exists."""
+    """The part of `file::function[case]` that does not exist, or ''."""
     file, _, rest = name.partition("::")
     function, _, case = rest.partition("[")
     path = ROOT / file

@@ -1,4 +1,4 @@
-"""A bench for the Dynamixel driver: the fake chain at the other end of a port in memory."""
+"""A bench for the Dynamixel driver: a port in memory that is connected to the fake chain."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from lfield_sim.dynamixel.servo_chain import ServoChain
 from lfield_sim.dynamixel.servo_model import model_named
 
 BAUD = 1_000_000
-#: Seconds before an answer, the factory setting.
+#: The delay before an answer in seconds: the factory setting.
 RETURN_DELAY = 500e-6
 START = 1000.0
 
 
 class MemoryPort:
-    """A port whose other end is the fake; replies arrive after their transmission time."""
+    """A port that is connected to the fake. Replies arrive after their transmission time."""
 
     baud, latency = BAUD, 0.0
 
@@ -29,7 +29,7 @@ class MemoryPort:
         self.sent: list[tuple[float, bytes]] = []
 
     def join(self, endpoint: str, events: Any, note: Any) -> MemoryPort:
-        """The port, in place of the one that the driver would make."""
+        """Return this port. The driver calls this method instead of the constructor of its own port."""
         self.events = events
         return self
 
@@ -62,23 +62,23 @@ class MemoryPort:
 
 
 class Bench(DriverBench):
-    """A chain of fakes, and a driver with one device for them; `extra` adds devices."""
+    """A chain of simulated servos, and a driver with one device for all of them. `extra` adds devices."""
 
     def __init__(
         self, *ids: int, fake: str = "XL330-M288", limits=None, safe_state="torque_hold", ttl=0.5,
         extra=(), waivers=(), **options: Any,
     ) -> None:  # fmt: skip
-        numbers = ids or (1,)
-        servos = [make_servo(model_named(fake), START) for _ in numbers]
-        for number, servo in zip(numbers, servos, strict=True):
+        servo_ids = ids or (1,)
+        servos = [make_servo(model_named(fake), START) for _ in servo_ids]
+        for number, servo in zip(servo_ids, servos, strict=True):
             servo.start_with(number, BAUD, servo.protocol, RETURN_DELAY)
-        self.servos = dict(zip(numbers, servos, strict=True))
+        self.servos = dict(zip(servo_ids, servos, strict=True))
         self.port = MemoryPort(ServoChain(servos))
-        group = len(numbers) > 1
+        group = len(servo_ids) > 1
         self.binding = bind(
             PLUGIN, "DynamixelGroup" if group else "Dynamixel", agent="alpha", field="joint",
             endpoint=f"serial:/dev/null:{BAUD}", safe_state=safe_state, ttl=ttl, limits=limits or {},
-            options={**({"ids": list(numbers)} if group else {"id": numbers[0]}), **options},
+            options={**({"ids": list(servo_ids)} if group else {"id": servo_ids[0]}), **options},
             waivers=list(waivers),
         )  # fmt: skip
         make = partial(DynamixelDriver, make_port=self.port.join)
@@ -98,5 +98,5 @@ class Bench(DriverBench):
 
 
 def call(device: Any, instruction: str, *arguments: object) -> Any:
-    """Execute an instruction as the guard does."""
+    """Execute an instruction in the same way as the guard."""
     return device.execute(instruction, arguments)

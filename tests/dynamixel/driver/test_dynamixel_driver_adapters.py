@@ -1,4 +1,4 @@
-"""Adapters that return what is sent, and two servos with one id, on both protocols."""
+"""Adapters that echo the sent bytes, and two servos with the same id, for all protocols."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def bench(protocol: int, *ids: int, **more) -> Bench:
     return Bench(*ids, fake=fake, protocol=protocol, waivers=["device_watchdog"], **more)
 
 
-def twin(b: Bench, number: int, *, delay: int | None = None, angle: float = 0.3) -> None:
+def add_duplicate(b: Bench, number: int, *, delay: int | None = None, angle: float = 0.3) -> None:
     """Add a servo with an id that is already on the bus."""
     first = b.servos[number]
     servo = make_servo(model_named(first.model.name), START)
@@ -45,7 +45,7 @@ def test_echoing_adapter_is_used_like_one_without_echo(protocol, ids):
     b = bench(protocol, *ids, limits={"speed": 2.0})
     b.fault("echo=true")
 
-    async def story(device):
+    async def scenario(device):
         await call(device, "torque", True)
         goal = [0.5 + 0.1 * number for number in ids]
         await call(device, "moveTo", goal if len(ids) > 1 else goal[0])
@@ -56,33 +56,33 @@ def test_echoing_adapter_is_used_like_one_without_echo(protocol, ids):
         await asyncio.sleep(2.0)
         assert b.values["torqueOn"] is False
 
-    b.run(story)
+    b.run(scenario)
     assert b.notes.count(ECHO) == 1
     assert not any("does not answer" in note for note in b.notes)
 
 
 @pytest.mark.parametrize("damaged", [1, 2])
 def test_damaged_first_echo_does_not_hide_the_echo(damaged):
-    """The first bytes after a port was opened are arbitrary."""
+    """The first bytes after the opening of a port may be damaged."""
     b = bench(1, 1)
     b.fault("echo=true")
-    left = [damaged]
+    remaining = [damaged]
 
-    async def story(servo):
+    async def scenario(servo):
         received = b.port.events.received
 
-        def first_wrong(data):
-            if left[0]:
-                left[0] -= 1
+        def damage_first(data):
+            if remaining[0]:
+                remaining[0] -= 1
                 data = bytes([data[0] ^ 0x40]) + data[1:]
             received(data)
 
-        b.port.events.received = first_wrong
+        b.port.events.received = damage_first
         await servo.open()
         await call(servo, "torque", True)
         await call(servo, "moveTo", 0.4)
 
-    b.run(story, opened=False)
+    b.run(scenario, opened=False)
     assert b.notes.count(ECHO) == 1
 
 
@@ -90,23 +90,23 @@ def test_damaged_first_echo_does_not_hide_the_echo(damaged):
 def test_adapter_without_echo_gives_no_echo_note(protocol):
     b = bench(protocol, 1)
 
-    async def story(servo):
+    async def scenario(servo):
         await call(servo, "torque", True)
 
-    b.run(story)
+    b.run(scenario)
     assert ECHO not in b.notes
 
 
 @pytest.mark.parametrize("protocol", [0, 1, 2])
-def test_echo_is_not_taken_for_a_servo(protocol):
+def test_echo_is_not_mistaken_for_the_answer_of_a_servo(protocol):
     b = bench(protocol, 1)
     b.fault("echo=true", "dead@1=true")
 
-    async def story(servo):
+    async def scenario(servo):
         with pytest.raises(DeviceError, match="does not answer"):
             await servo.open()
 
-    b.run(story, opened=False)
+    b.run(scenario, opened=False)
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
@@ -114,21 +114,21 @@ def test_dead_servo_behind_an_echo_is_reported_and_found_again(protocol):
     b = bench(protocol, 1)
     b.fault("echo=true")
 
-    async def story(servo):
+    async def scenario(servo):
         b.fault("dead@1=true")
         await b.until(lambda: any("not responding" in note for note in b.notes))
         b.fault("dead@1=false")
         await b.until(lambda: any("responding again" in note for note in b.notes))
 
-    b.run(story)
+    b.run(scenario)
 
 
 @pytest.mark.parametrize("first", [False, True])
-def test_port_may_return_with_another_adapter(first):
+def test_port_may_be_plugged_in_again_with_another_adapter(first):
     b = bench(1, 1)
     b.fault(f"echo={str(first).lower()}")
 
-    async def story(servo):
+    async def scenario(servo):
         b.port.unplug()
         await asyncio.sleep(0.5)
         b.fault(f"echo={str(not first).lower()}")
@@ -137,25 +137,25 @@ def test_port_may_return_with_another_adapter(first):
         await call(servo, "torque", True)
         await call(servo, "moveTo", 0.4)
 
-    b.run(story)
+    b.run(scenario)
     assert b.notes.count(ECHO) == 1
 
 
-def test_lost_and_damaged_answers_behind_an_echo():
+def test_motion_ends_with_lost_and_damaged_answers_behind_an_echo():
     b = bench(1, 1, 2)
     b.fault("echo=true", "lose=0.05", "corrupt=0.05", "noise=0.05")
 
-    async def story(group):
+    async def scenario(group):
         await call(group, "torque", True)
         await call(group, "setProfile", 2.0, 0.0)
         await call(group, "moveTo", [0.6, 0.6])
         assert b.values["positions"] == pytest.approx([0.6, 0.6], abs=0.03)
 
-    b.run(story)
+    b.run(scenario)
 
 
 def test_protocol_1_instruction_equals_an_answer_byte_for_byte():
-    """Why the echo is detected before the first request: a ping equals an answer with a voltage error."""
+    """A ping equals an answer with a voltage error; so the echo is detected before the first request."""
     (status,) = Reader1().feed(Protocol1.encode(1, 1))
     assert (status.number, status.error, status.data) == (1, 1, b"")
 
@@ -174,8 +174,8 @@ async def test_servo_whose_answer_equals_its_ping_is_found(b, servo, /):
     st.lists(st.binary(max_size=12), max_size=6),
     st.data(),
 )
-def test_echo_is_removed_however_it_is_cut(sent, answers, data):
-    """Echoes in order, each answer after the echo of its packet, cut anywhere."""
+def test_echo_is_removed_for_every_split_of_the_bytes(sent, answers, data):
+    """Each answer follows the echo of its packet, and the pieces of the stream have any size."""
     echo, stream = EchoFilter(), b""
     for at, packet in enumerate(sent):
         answer = answers[at] if at < len(answers) else b""
@@ -197,34 +197,34 @@ def test_echo_probe_changes_nothing(codec):
     assert b.servos[1].table._values == before
 
 
-# -- two servos with one id --------------------------------------------------------------------------------
+# -- two servos with the same id ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("protocol", [0, 1, 2])
 @pytest.mark.parametrize(
     ("delay", "words"), [(254, "two servos answer to the id 1"), (None, "are damaged: check whether two")]
 )
-def test_two_servos_with_one_id_are_named(protocol, delay, words):
+def test_two_servos_with_the_same_id_are_reported(protocol, delay, words):
     b = bench(protocol, 1)
     b.servos[1].table.put("return_delay_time", 0 if delay else b.servos[1].table["return_delay_time"])
-    twin(b, 1, delay=delay)
+    add_duplicate(b, 1, delay=delay)
 
-    async def story(servo):
+    async def scenario(servo):
         with pytest.raises(DeviceError, match=words):
             await servo.open()
 
-    b.run(story, opened=False)
+    b.run(scenario, opened=False)
 
 
-def test_joining_servo_with_the_same_id_is_named_and_motion_refused():
+def test_added_servo_with_the_same_id_is_reported_and_motion_refused():
     b = bench(2, 1)
     b.servos[1].table.put("return_delay_time", 0)
 
-    async def story(servo):
+    async def scenario(servo):
         await call(servo, "torque", True)
         b.fault("dead@1=true")
         await b.until(lambda: any("not responding" in note for note in b.notes))
-        twin(b, 1, delay=254)
+        add_duplicate(b, 1, delay=254)
         b.fault("dead@1=false")
         await b.until(lambda: any("two servos answer to the id 1" in note for note in b.notes))
         with pytest.raises(DeviceError, match="two servos answer to the id 1"):
@@ -235,7 +235,7 @@ def test_joining_servo_with_the_same_id_is_named_and_motion_refused():
         await call(servo, "torque", True)
         await call(servo, "moveTo", 0.5)
 
-    b.run(story)
+    b.run(scenario)
     assert sum("two servos" in note for note in b.notes) == 1
 
 
@@ -243,68 +243,68 @@ def test_joining_servo_with_the_same_id_is_named_and_motion_refused():
 @pytest.mark.few(6)
 @pytest.mark.parametrize("protocol", [0, 1, 2])
 @pytest.mark.parametrize("delay", [254, None])
-def test_joining_duplicate_stops_the_motion_and_is_named(protocol, ids, delay):
-    """Answers of the duplicate follow those of the first servo, or damage them; the motion fails."""
+def test_added_servo_with_the_same_id_stops_the_motion(protocol, ids, delay):
+    """Answers of the second servo follow the answers of the first, or damage them. The motion fails."""
     b = bench(protocol, *ids, limits={"speed": 2.0})
     if delay:
         b.servos[1].table.put("return_delay_time", 0)
 
-    def places(angle):
+    def goals(angle):
         return [angle] * len(ids) if len(ids) > 1 else angle
 
-    async def story(device):
+    async def scenario(device):
         await call(device, "torque", True)
         await call(device, "setProfile", 0.2, 0.0)
-        motion = asyncio.ensure_future(call(device, "moveTo", places(2.0)))
+        motion = asyncio.ensure_future(call(device, "moveTo", goals(2.0)))
         await asyncio.sleep(1.0)
-        twin(b, 1, delay=delay)
-        began = asyncio.get_running_loop().time()
+        add_duplicate(b, 1, delay=delay)
+        start = asyncio.get_running_loop().time()
         with pytest.raises(DeviceError, match=r"two servos|come damaged|does not answer"):
             await motion
-        # With one servo, no state is known any more.
+        # With one servo, the state of the torque is not known.
         assert b.values["torqueOn"] is (len(ids) > 1)
-        assert asyncio.get_running_loop().time() - began < 2.5
+        assert asyncio.get_running_loop().time() - start < 2.5
         await b.until(lambda: any("two servos" in note for note in b.notes))
         with pytest.raises(DeviceError, match="two servos"):
-            await call(device, "moveTo", places(0.5))
+            await call(device, "moveTo", goals(0.5))
 
-    b.run(story)
+    b.run(scenario)
     assert sum("two servos" in note for note in b.notes) == 1
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
-def test_lost_late_and_damaged_answers_prove_no_second_servo(protocol):
+def test_lost_late_and_damaged_answers_do_not_report_a_second_servo(protocol):
     b = bench(protocol, 1)
     b.fault("lose=0.1", "corrupt=0.1", "noise=0.1", "delay=0.01")
 
-    async def story(servo):
+    async def scenario(servo):
         await servo.open()
         await asyncio.sleep(20.0)
 
-    b.run(story, opened=False)
+    b.run(scenario, opened=False)
     assert not any("id" in note for note in b.notes)
 
 
 class SlowBus:
-    """A bus whose servos answer plain sync reads, and fast ones only once `knows_fast` is set."""
+    """A bus whose servos answer sync reads, but fast sync reads only if `supports_fast` is true."""
 
     gone = ""
 
     def __init__(self) -> None:
-        self.knows_fast, self.kinds = False, []
+        self.supports_fast, self.kinds = False, []
 
     async def exchange(self, protocol, packet, numbers, size, *, urgency):
         fast = packet[7] == 0x8A
         self.kinds.append(fast)
         if not fast:
             return [Status(number, 0, bytes(size)) for number in numbers]
-        if not self.knows_fast:
+        if not self.supports_fast:
             return []
         part = b"".join(bytes((0, number)) + bytes(4 + 2) for number in (1, 2))
         return [Status(0xFE, 0, part[1:-2])]
 
 
-def test_failed_fast_reads_are_tried_again():
+def test_fast_reads_are_tried_again_after_a_failure():
     bus, nodes = SlowBus(), [Node(1), Node(2)]
     chain = Chain(bus)
 
@@ -314,11 +314,11 @@ def test_failed_fast_reads_are_tried_again():
             await chain.sync_read(nodes, 132, 4)
         return bus.kinds
 
-    async def story():
+    async def scenario():
         assert await read(10) == [False]
-        bus.knows_fast = True
+        bus.supports_fast = True
         await read(FAST_RETRY_READS)
         assert await read(1) == [True]
         assert await read(10) == [True]
 
-    asyncio.run(story())
+    asyncio.run(scenario())

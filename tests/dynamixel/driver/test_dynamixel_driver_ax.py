@@ -1,4 +1,4 @@
-"""AX-12A with protocol 1.0: no watchdog, no modes, no current, errors in every answer."""
+"""AX-12A with protocol 1.0: no watchdog, no modes, no current measurement, errors in every answer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ async def test_ax_servo_moves_to_its_goal(bench, servo, /):
 @pytest.mark.parametrize("instruction", ["moveTo", "setPosition"])
 @on_bench(ax, 4, limits={"speed": 0.5})
 async def test_first_motion_after_power_on_keeps_the_speed_limit(bench, servo, /, instruction):
-    """After power-on, the speed register is 0: the maximum. Goal and speed are sent in one packet."""
+    """After power-on, the speed register is 0, the maximum. The driver sends goal and speed in one packet."""
     await call(servo, "torque", True)
     motion = asyncio.ensure_future(call(servo, instruction, 1.0))
     for _ in range(100):
@@ -96,9 +96,9 @@ async def test_ax_group_is_stopped_by_one_packet(bench, group, /):
     bench.fault("dead@2=true")
     with pytest.raises(DeviceError, match="servo 2 does not answer"):
         await group.make_safe()
-    place = bench.values["positions"][0]
+    stopped_at = bench.values["positions"][0]
     await asyncio.sleep(1.0)
-    assert bench.values["positions"][0] == pytest.approx(place, abs=0.15)
+    assert bench.values["positions"][0] == pytest.approx(stopped_at, abs=0.15)
 
 
 @on_bench(ax, 1)

@@ -1,4 +1,4 @@
-"""STS3215 servos of Feetech through the interfaces of DYNAMIXEL servos; servos that fail in motion."""
+"""STS3215 servos of Feetech with the instructions of DYNAMIXEL servos, and servos that fail in motion."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ async def test_feetech_servo_moves_and_reports_its_values(bench, servo, /):
     assert await servo.open() == "STS3215 4 (firmware 3.10, position mode)"
     await call(servo, "torque", True)
     await call(servo, "setProfile", 2.0, 10.0)
-    began = asyncio.get_running_loop().time()
+    start = asyncio.get_running_loop().time()
     await call(servo, "moveTo", -1.0)
-    assert asyncio.get_running_loop().time() - began == pytest.approx(0.7, abs=0.2), "1 rad at 2 rad/s"
+    assert asyncio.get_running_loop().time() - start == pytest.approx(0.7, abs=0.2), "1 rad at 2 rad/s"
     assert bench.values["position"] == pytest.approx(-1.0, abs=0.02)
     assert (bench.values["voltage"], bench.values["temperature"]) == (pytest.approx(7.4, abs=0.1), 30)
     assert math.isfinite(bench.values["effort"])
@@ -54,7 +54,7 @@ async def test_feetech_velocity_mode_is_stored(bench, servo, /):
         await asyncio.sleep(0.1)
     assert bench.values["velocity"] == pytest.approx(-1.0, abs=0.05)
     await servo.make_safe()
-    assert bench.servos[1].table["lock"] == 1, "the mode was saved, and the lock closed again"
+    assert bench.servos[1].table["lock"] == 1, "the mode is saved, and the EEPROM is locked again"
     bench.servos[1].reboot()
     assert bench.servos[1].table["operating_mode"] == 1
     with pytest.raises(
@@ -75,7 +75,7 @@ async def test_feetech_gripper_holds_with_a_limited_force(bench, servo, /):
     assert bench.values["position"] == pytest.approx(-0.5, abs=0.02)
     assert abs(bench.values["current"]) == pytest.approx(0.4, rel=0.15)
     await servo.make_safe()
-    assert abs(bench.values["current"]) == pytest.approx(0.4, rel=0.15), "it keeps holding"
+    assert abs(bench.values["current"]) == pytest.approx(0.4, rel=0.15), "the safe state keeps the force"
     await call(servo, "moveUntil", 0.0, 0.4)
     await call(servo, "mode", "position")
     assert bench.servos[1].table["torque_limit"] == 1000
@@ -97,7 +97,7 @@ async def test_feetech_calibration_is_stored_as_an_offset(bench, servo, /):
 
 @pytest.mark.parametrize("angle", [3.0, -3.0])
 @on_bench(sts, 1)
-async def test_offset_over_half_a_turn_is_taken_the_other_way(bench, servo, /, angle):
+async def test_offset_over_half_a_turn_is_stored_in_the_other_direction(bench, servo, /, angle):
     await call(servo, "torque", True)
     await call(servo, "moveTo", -math.copysign(2.0, angle))
     await call(servo, "calibrate", angle)
@@ -170,7 +170,7 @@ async def test_feetech_without_the_watchdog_waiver_is_refused(b, servo, /):
 
 
 @on_bench(Bench, 1, fake="STS3215", protocol=1, opened=False)
-async def test_error_names_the_other_protocol(b, servo, /):
+async def test_error_for_a_wrong_protocol_names_the_option(b, servo, /):
     with pytest.raises(DeviceError, match=r"known: AX-12A\); check 'protocol' in its binding"):
         await servo.open()
 
@@ -213,16 +213,18 @@ async def test_overheating_or_torque_loss_in_motion_stops_all_servos(
     await call(group, "setProfile", 0.2, 0.0)
     motion = asyncio.ensure_future(call(group, "moveTo", [1.5, 1.5]))
     await asyncio.sleep(1.0)
-    began = asyncio.get_running_loop().time()
+    start = asyncio.get_running_loop().time()
     bench.fault(fault)
     with pytest.raises(DeviceError, match=match) as caught:
         await motion
     assert caught.value.kind == "DeviceException"
     if "brownout" in fault:
-        assert asyncio.get_running_loop().time() - began < 1.0
-    place = bench.values["positions"][0]
+        assert asyncio.get_running_loop().time() - start < 1.0
+    stopped_at = bench.values["positions"][0]
     await asyncio.sleep(1.0)
-    assert bench.values["positions"][0] == pytest.approx(place, abs=0.03), "the other servo holds"
+    assert bench.values["positions"][0] == pytest.approx(stopped_at, abs=0.03), (
+        "the other servo keeps its position"
+    )
 
 
 @on_bench(Bench, 1)

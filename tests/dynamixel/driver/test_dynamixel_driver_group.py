@@ -1,4 +1,4 @@
-"""Groups: synchronous motion, members that do not answer, and the safe state with a dead member."""
+"""Groups: synchronous motion, members that do not answer, the safe state of a group with a dead member."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
 
 
-async def stiff(group, velocity=2.0, acceleration=10.0):
+async def enable(group, velocity=2.0, acceleration=10.0):
     await call(group, "torque", True)
     await call(group, "setProfile", velocity, acceleration)
 
 
 @on_bench(Bench, 1, 2, 3)
-async def test_group_members_arrive_together(bench, group, /):
+async def test_group_members_reach_their_goals_at_the_same_time(bench, group, /):
     goals = [1.2, -0.6, 0.3]
 
-    await stiff(group)
+    await enable(group)
     moving = asyncio.ensure_future(call(group, "moveTo", goals))
     shares = []
     while not moving.done():
@@ -31,13 +31,13 @@ async def test_group_members_arrive_together(bench, group, /):
         shares.append([p / g for p, g in zip(bench.values["positions"], goals, strict=True)])
     await moving
     assert bench.values["positions"] == pytest.approx(goals, abs=0.02)
-    # During the whole motion, all have covered the same share of their way.
+    # At each time of the motion, all members have completed the same share of their distance.
     assert max(max(share) - min(share) for share in shares) < 0.12
 
 
 @on_bench(Bench, 1, 2, 3)
 async def test_group_setpoint_is_one_packet(bench, group, /):
-    await stiff(group)
+    await enable(group)
     sent = len(bench.sent)
     await call(group, "setPositions", [0.1, 0.2, 0.3])
     assert [p[7] for _, p in bench.sent[sent:] if p[7] in (0x03, 0x83)] == [0x83]
@@ -46,8 +46,8 @@ async def test_group_setpoint_is_one_packet(bench, group, /):
 
 
 @on_bench(Bench, 1, 2, 3)
-async def test_missing_member_is_named_and_its_position_is_nan(bench, group, /):
-    await stiff(group)
+async def test_missing_member_is_reported_and_its_position_is_nan(bench, group, /):
+    await enable(group)
     bench.fault("dead@2=true")
     await asyncio.sleep(2.0)
     positions = bench.values["positions"]
@@ -71,23 +71,23 @@ async def test_missing_member_is_named_and_its_position_is_nan(bench, group, /):
 async def test_lost_replies_do_not_stop_a_group(bench, group, /, fault):
     observed = []
 
-    await stiff(group)
+    await enable(group)
     bench.fault(fault)
     moving = asyncio.ensure_future(call(group, "moveTo", [1.0, -1.0, 0.5, 0.2, 0.7, -0.3]))
     while not moving.done():
         await asyncio.sleep(0.05)
         observed.append((list(bench.values["positions"]), list(bench.values["missing"])))
     await moving
-    # An unknown position is NaN, never 0: all move away from 0 and none returns.
+    # An unknown position is NaN, never 0. All servos move away from 0, so no known position decreases.
     for servo in range(6):
-        way = [abs(positions[servo]) for positions, _ in observed if not math.isnan(positions[servo])]
-        assert all(later >= before - 0.02 for before, later in itertools.pairwise(way))
+        distances = [abs(positions[servo]) for positions, _ in observed if not math.isnan(positions[servo])]
+        assert all(later >= before - 0.02 for before, later in itertools.pairwise(distances))
 
 
 @pytest.mark.parametrize("fault", ["other@1=true", "nonsense@1=true", "delay@1=0.04"])
 @on_bench(Bench, 1, 2, 3)
 async def test_member_with_invalid_answers_is_missing(bench, group, /, fault):
-    await stiff(group)
+    await enable(group)
     await call(group, "moveTo", [0.5, 0.5, 0.5])
     bench.fault(fault)
     for _ in range(40):
@@ -100,8 +100,8 @@ async def test_member_with_invalid_answers_is_missing(bench, group, /, fault):
 
 @pytest.mark.parametrize(("state", "item"), [("torque_off", "torque_enable"), ("torque_hold", None)])
 @on_bench(Bench, 1, 2, 3, given="safe_state=state")
-async def test_safe_state_reaches_all_members_and_names_the_dead(bench, group, /, state, item):
-    await stiff(group)
+async def test_safe_state_reaches_all_members_and_reports_the_dead_one(bench, group, /, state, item):
+    await enable(group)
     moving = asyncio.ensure_future(call(group, "moveTo", [1.5, 1.5, 1.5]))
     await asyncio.sleep(0.4)
     moving.cancel()
@@ -118,8 +118,8 @@ async def test_safe_state_reaches_all_members_and_names_the_dead(bench, group, /
 
 
 @on_bench(Bench, 1, 2, 3, safe_state="torque_off")
-async def test_member_that_cannot_answer_is_made_safe(bench, group, /):
-    await stiff(group)
+async def test_member_whose_answers_are_lost_is_made_safe(bench, group, /):
+    await enable(group)
     bench.fault("lose@2=1.0")
     with pytest.raises(DeviceError, match="servo 2 does not answer"):
         await group.make_safe()
@@ -127,8 +127,8 @@ async def test_member_that_cannot_answer_is_made_safe(bench, group, /):
 
 
 @on_bench(Bench, 1, 2, 3, 4, 5, 6, safe_state="torque_off")
-async def test_first_safe_frame_does_not_wait_for_dead_members(bench, group, /):
-    await stiff(group)
+async def test_first_safe_state_packet_does_not_wait_for_dead_members(bench, group, /):
+    await enable(group)
     bench.fault("dead@1=true", "dead@2=true", "dead@3=true")
     await asyncio.sleep(0.51)
     start = asyncio.get_running_loop().time()
@@ -142,7 +142,7 @@ async def test_first_safe_frame_does_not_wait_for_dead_members(bench, group, /):
 
 
 @on_bench(Bench, 1, 2, 3, opened=False)
-async def test_opening_names_all_missing_servos(bench, group, /):
+async def test_open_error_names_all_missing_servos(bench, group, /):
     bench.fault("dead@1=true", "dead@3=true")
     with pytest.raises(DeviceError, match=r"servo 1 does not answer.*servo 3 does not answer"):
         await group.open()
@@ -150,7 +150,7 @@ async def test_opening_names_all_missing_servos(bench, group, /):
 
 @on_bench(Bench, 1, 2)
 async def test_group_requires_one_angle_per_member(b, group, /):
-    await stiff(group)
+    await enable(group)
     with pytest.raises(DeviceError, match="requires 2 angles, one for each id, not 3"):
         await call(group, "moveTo", [0.0, 0.0, 0.0])
     with pytest.raises(DeviceError, match="outside"):
@@ -175,8 +175,8 @@ def test_servo_of_two_devices_is_refused():
 
 
 @on_bench(Bench, 1, 2)
-async def test_unplugged_port_is_reported_once_and_returns(bench, group, /):
-    await stiff(group)
+async def test_unplugged_port_is_reported_once_and_used_again(bench, group, /):
+    await enable(group)
     moving = asyncio.ensure_future(call(group, "moveTo", [1.0, 1.0]))
     await asyncio.sleep(0.2)
     start = asyncio.get_running_loop().time()
@@ -189,11 +189,11 @@ async def test_unplugged_port_is_reported_once_and_returns(bench, group, /):
     with pytest.raises(DeviceError, match="not answer"):
         await call(group, "moveTo", [0.0, 0.0])
     bench.chain.advance(asyncio.get_running_loop().time())
-    places = [servo.motion.place for servo in bench.servos.values()]
+    stopped_at = [servo.motion.place for servo in bench.servos.values()]
     bench.port.plug()
     await asyncio.sleep(2.0)
     assert bench.values["missing"] == []
-    assert [servo.motion.place for servo in bench.servos.values()] == pytest.approx(places, abs=10)
+    assert [servo.motion.place for servo in bench.servos.values()] == pytest.approx(stopped_at, abs=10)
     assert sum("is gone" in note for note in bench.notes) == 1
     assert sum("stopped by its watchdog" in note for note in bench.notes) == 2
     await call(group, "release")
@@ -202,7 +202,7 @@ async def test_unplugged_port_is_reported_once_and_returns(bench, group, /):
 
 @on_bench(Bench, 1, 2)
 async def test_member_that_lost_power_is_configured_again(bench, group, /):
-    await stiff(group)
+    await enable(group)
     bench.fault("dead@2=true")
     await asyncio.sleep(1.0)
     bench.servos[2].reboot()

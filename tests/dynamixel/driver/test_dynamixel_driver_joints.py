@@ -1,4 +1,4 @@
-"""Joints: names, directions, offsets and bounds, and calibrations of LeRobot."""
+"""Joints: names, directions, offsets, bounds, and calibration files of LeRobot."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BOTH = {"pan": PAN, "lift": LIFT}
 
 @pytest.fixture
 def file(tmp_path):
-    """Write a calibration file; returns its path."""
+    """A function that writes a calibration file and returns its path."""
 
     def write(joints: object) -> str:
         path = tmp_path / "arm.json"
@@ -40,7 +40,7 @@ def file(tmp_path):
 def arm(
     calibration: str = "", *, set_up: object = None, fake: str = "STS3215", protocol: int = 0, **more
 ) -> Bench:
-    """Two servos, with the stored settings of a calibration."""
+    """A bench with two servos. `set_up` contains calibration entries that the servos have stored."""
     bench = Bench(
         1, 2, fake=fake, protocol=protocol, waivers=["device_watchdog"], calibration=calibration, **more
     )
@@ -105,7 +105,7 @@ def test_any_bytes_are_a_calibration_or_an_error(data):
 
 
 def conflicts(*bindings: DeviceBinding) -> list[str]:
-    return [why for _, why in PLUGIN.conflicts_of(bindings)]
+    return [conflict for _, conflict in PLUGIN.conflicts_of(bindings)]
 
 
 def bound(calibration: str = "", **options) -> DeviceBinding:
@@ -125,28 +125,28 @@ def bound(calibration: str = "", **options) -> DeviceBinding:
     ],
 )
 def test_invalid_joint_option_is_a_conflict(options, sentence):
-    (why,) = conflicts(bound(**options))
-    assert sentence in why
+    (conflict,) = conflicts(bound(**options))
+    assert sentence in conflict
 
 
 def test_calibration_that_does_not_match_the_joints_is_a_conflict(file):
-    (why,) = conflicts(bound(file({"pan": PAN})))
-    assert why.endswith("arm.json: it has no joint of servo 2")
-    (why,) = conflicts(bound(file(BOTH), names=["lift", "pan"]))
-    assert "servo 1 is the joint 'pan' in it, but the binding says 'lift'" in why
-    (why,) = conflicts(bound("/nowhere/arm.json"))
-    assert why == "/nowhere/arm.json cannot be read: No such file or directory"
+    (conflict,) = conflicts(bound(file({"pan": PAN})))
+    assert conflict.endswith("arm.json: it has no joint of servo 2")
+    (conflict,) = conflicts(bound(file(BOTH), names=["lift", "pan"]))
+    assert "servo 1 is the joint 'pan' in it, but the binding says 'lift'" in conflict
+    (conflict,) = conflicts(bound("/nowhere/arm.json"))
+    assert conflict == "/nowhere/arm.json cannot be read: No such file or directory"
     assert conflicts(bound(file(BOTH), names=["pan", "lift"])) == []
 
 
 def test_servo_in_two_bindings_is_a_conflict():
-    one = bound()
-    other = msgspec.structs.replace(one, field="hand")
-    assert conflicts(one, other) == [
-        f"servo {number} on {one.endpoint} already belongs to alpha.joint" for number in (1, 2)
+    first = bound()
+    other = msgspec.structs.replace(first, field="hand")
+    assert conflicts(first, other) == [
+        f"servo {number} on {first.endpoint} already belongs to alpha.joint" for number in (1, 2)
     ]
-    assert conflicts(one, msgspec.structs.replace(one, agent="bravo")) == [], (
-        "the other agent may be on another computer"
+    assert conflicts(first, msgspec.structs.replace(first, agent="bravo")) == [], (
+        "agents of different hosts may use the same endpoint"
     )
 
 
@@ -192,7 +192,7 @@ def reversed_servo(**more) -> Bench:
 
 
 @on_bench(reversed_servo)
-async def test_reversed_servo_is_reversed_in_every_quantity(bench, servo, /):
+async def test_all_quantities_of_a_reversed_servo_are_reversed(bench, servo, /):
     await call(servo, "setRange", -1.0, 0.5)
     table = bench.servos[1].table
     assert (table["min_position_limit"], table["max_position_limit"]) == (
@@ -214,7 +214,7 @@ async def test_reversed_servo_is_reversed_in_every_quantity(bench, servo, /):
 
 
 def test_calibrated_angles_and_bounds_equal_those_of_lerobot(file):
-    async def story(group):
+    async def scenario(group):
         assert [servo.joint.name for servo in group.servos.values()] == ["pan", "lift"]
         start = await group.observe()
         assert [value.position for value in start.values()] == pytest.approx([0.0, 0.0], abs=COUNT)
@@ -233,25 +233,25 @@ def test_calibrated_angles_and_bounds_equal_those_of_lerobot(file):
             await call(group, "moveTo", [0.0, 1.0])
 
     bench = arm(file(BOTH), set_up=BOTH.values())
-    bench.run(story)
+    bench.run(scenario)
 
 
-def test_reversed_joint_turns_the_other_way(file):
-    async def story(group):
+def test_reversed_joint_turns_in_the_other_direction(file):
+    async def scenario(group):
         await call(group, "torque", True)
         await call(group, "moveTo", [0.0, 0.5])
         assert bench.servos[2].table["present_position"] == pytest.approx(1850 - 0.5 / COUNT, abs=2)
 
     joints = {"pan": PAN, "lift": LIFT | {"drive_mode": 1}}
     bench = arm(file(joints), set_up=joints.values())
-    bench.run(story)
+    bench.run(scenario)
 
 
 @pytest.mark.parametrize(("fake", "protocol"), [("STS3215", 0), ("XL330-M288", 2)])
 def test_calibration_of_another_arm_is_refused_and_set_up_writes_it(file, fake, protocol):
     bench = arm(file(BOTH), fake=fake, protocol=protocol)
 
-    async def story(group):
+    async def scenario(group):
         with pytest.raises(
             DeviceNotSetUp, match=r"homing_offset of servo 1 is 0 and must be 120, and 5 more"
         ):
@@ -264,19 +264,19 @@ def test_calibration_of_another_arm_is_refused_and_set_up_writes_it(file, fake, 
         await group.open()
         assert [servo.table["max_position_limit"] for servo in bench.servos.values()] == [3000, 2500]
 
-    bench.run(story, opened=False)
+    bench.run(scenario, opened=False)
 
 
-def test_dynamixel_servo_stores_its_reversal(file):
+def test_drive_mode_of_a_reversed_dynamixel_servo_is_checked(file):
     joints = {"pan": PAN | {"drive_mode": 1}, "lift": LIFT}
     bench = arm(file(joints), set_up=joints.values(), fake="XL330-M288", protocol=2)
     bench.servos[1].table.put("drive_mode", 0)
 
-    async def story(group):
+    async def scenario(group):
         with pytest.raises(DeviceNotSetUp, match=r"drive_mode of servo 1 is 0 and must be 1$"):
             await group.open()
 
-    bench.run(story, opened=False)
+    bench.run(scenario, opened=False)
 
 
 @pytest.mark.parametrize(
@@ -290,11 +290,11 @@ def test_dynamixel_servo_stores_its_reversal(file):
 def test_calibration_of_another_model_is_refused(file, fake, protocol, entry):
     bench = arm(file({"pan": PAN | entry, "lift": LIFT}), fake=fake, protocol=protocol)
 
-    async def story(group):
+    async def scenario(group):
         with pytest.raises(DeviceError, match=rf"servo 1 \(pan\): its calibration is not of a {fake}"):
             await group.open()
 
-    bench.run(story, opened=False)
+    bench.run(scenario, opened=False)
 
 
 def test_calibration_narrows_the_bounds_of_the_binding():

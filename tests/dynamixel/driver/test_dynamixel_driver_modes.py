@@ -1,4 +1,4 @@
-"""Drive mode (address 10): each value as in the manual, in the fake and through the driver."""
+"""Drive mode (address 10): the fake and the driver implement each value of the manual."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def direction(drive_mode: int) -> int:
 def test_motion_duration_and_direction_in_every_drive_mode(drive_mode):
     bench = in_mode(drive_mode, limits={"speed": 0.5})
     motor = bench.servos[1].motion.motor
-    begun = motor.angle
+    start_angle = motor.angle
 
-    async def story(servo):
+    async def scenario(servo):
         assert bench.values["position"] == pytest.approx(0.0, abs=0.002)
         await call(servo, "torque", True)
         start, fastest = asyncio.get_running_loop().time(), 0.0
@@ -45,11 +45,11 @@ def test_motion_duration_and_direction_in_every_drive_mode(drive_mode):
         assert asyncio.get_running_loop().time() - start == pytest.approx(2.1, abs=0.2)
         assert fastest < 0.56
         assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
-        assert motor.angle - begun == pytest.approx(direction(drive_mode), abs=0.02)
+        assert motor.angle - start_angle == pytest.approx(direction(drive_mode), abs=0.02)
         await call(servo, "moveTo", -1.0)
-        assert motor.angle - begun == pytest.approx(-direction(drive_mode), abs=0.02)
+        assert motor.angle - start_angle == pytest.approx(-direction(drive_mode), abs=0.02)
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 @pytest.mark.parametrize("drive_mode", DRIVE_MODES)
@@ -57,7 +57,7 @@ def test_velocity_and_current_turn_in_the_direction_of_the_mode(drive_mode):
     bench = in_mode(drive_mode, ttl=2.0)
     motor = bench.servos[1].motion.motor
 
-    async def story(servo):
+    async def scenario(servo):
         await call(servo, "torque", True)
         for mode, instruction, value in (("velocity", "setVelocity", 1.0), ("current", "setCurrent", 0.3)):
             await call(servo, "mode", mode)
@@ -69,38 +69,38 @@ def test_velocity_and_current_turn_in_the_direction_of_the_mode(drive_mode):
             await asyncio.sleep(0.5)
             await call(servo, "torque", True)
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 @pytest.mark.parametrize("drive_mode", [0, REVERSE])
 def test_drive_mode_does_not_change_the_sign_of_the_homing_offset(drive_mode):
     bench = in_mode(drive_mode)
 
-    async def story(servo):
+    async def scenario(servo):
         await call(servo, "calibrate", 0.5)
         assert bench.servos[1].table["homing_offset"] == pytest.approx(0.5 * COUNTS, abs=1)
         assert (await servo.servo.present()).position == pytest.approx(0.5, abs=0.002)
         await call(servo, "torque", True)
         await call(servo, "moveTo", 0.0)
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 @pytest.mark.parametrize("drive_mode", [0, REVERSE])
 def test_limits_are_in_the_direction_of_the_servo(drive_mode):
     bench = in_mode(drive_mode)
     motor = bench.servos[1].motion.motor
-    begun = motor.angle
+    start_angle = motor.angle
 
-    async def story(servo):
+    async def scenario(servo):
         await call(servo, "setRange", 0.0, 1.0)
         await call(servo, "torque", True)
         with pytest.raises(DeviceError, match=r"only moves from 0\.000 to"):
             await call(servo, "moveTo", -0.5)
         await call(servo, "moveTo", 1.0)
-        assert (motor.angle - begun) * direction(drive_mode) == pytest.approx(1.0, abs=0.02)
+        assert (motor.angle - start_angle) * direction(drive_mode) == pytest.approx(1.0, abs=0.02)
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 @pytest.mark.parametrize("drive_mode", [0, REVERSE])
@@ -110,25 +110,25 @@ def test_position_after_a_restart_is_within_one_turn(drive_mode):
     for angle in (0.0, 0.1, 3.0, 6.2, 7.0, -1.0):
         servo.motion.motor.angle = angle
         servo.reboot()
-        place = int.from_bytes(servo.read(132, 4), "little", signed=True)
-        assert 0 <= place <= 4096
-        assert math.cos(place / COUNTS) == pytest.approx(math.cos(angle), abs=0.01)
-        assert math.sin(place / COUNTS) * direction(drive_mode) == pytest.approx(math.sin(angle), abs=0.01)
+        position = int.from_bytes(servo.read(132, 4), "little", signed=True)
+        assert 0 <= position <= 4096
+        assert math.cos(position / COUNTS) == pytest.approx(math.cos(angle), abs=0.01)
+        assert math.sin(position / COUNTS) * direction(drive_mode) == pytest.approx(math.sin(angle), abs=0.01)
 
 
 @pytest.mark.parametrize("drive_mode", [0, REVERSE])
 def test_extended_mode_moves_over_one_turn(drive_mode):
     bench = in_mode(drive_mode, limits={"speed": 4.0}, lowest=-100.0, highest=100.0)
     motor = bench.servos[1].motion.motor
-    begun = motor.angle
+    start_angle = motor.angle
 
-    async def story(servo):
+    async def scenario(servo):
         await call(servo, "mode", "extended")
         await call(servo, "torque", True)
         await call(servo, "moveTo", 9.0)
-        assert motor.angle - begun == pytest.approx(9.0 * direction(drive_mode), abs=0.02)
+        assert motor.angle - start_angle == pytest.approx(9.0 * direction(drive_mode), abs=0.02)
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 @on_bench(in_mode, TIME_BASED, limits={"speed": 0.2}, lowest=-100.0, highest=100.0)
@@ -141,7 +141,7 @@ async def test_motion_longer_than_the_longest_profile_is_refused(bench, servo, /
 
 
 @on_bench(in_mode, TORQUE_BY_GOAL)
-async def test_servo_enabled_by_any_goal_stays_without_torque(bench, servo, /):
+async def test_servo_with_torque_by_goal_keeps_its_torque_off(bench, servo, /):
     await call(servo, "torque", True)
     bench.driver.quiet()
     await asyncio.sleep(1.5)
@@ -160,17 +160,17 @@ def test_slave_ignores_goals_and_is_refused(drive_mode):
     servo = bench.servos[1]
     servo.write(64, b"\1")
     servo.write(116, (3000).to_bytes(4, "little"))
-    begun = servo.motion.motor.angle
+    start_angle = servo.motion.motor.angle
 
-    async def story(device):
+    async def scenario(device):
         await call(device, "torque", True)
         with pytest.raises(
             DeviceError, match=r"moveTo refused: servo 1 is a slave \(bit 1 of its drive mode\)"
         ):
             await call(device, "moveTo", 0.5)
-        assert servo.motion.motor.angle == begun
+        assert servo.motion.motor.angle == start_angle
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 def test_models_without_dual_drive_refuse_the_slave_bit():
@@ -188,7 +188,7 @@ def test_rounding_never_exceeds_the_speed_limit(drive_mode):
     for limit in (0.3, 0.5, 1.0, 1.5):
         bench = in_mode(drive_mode, limits={"speed": limit}, ttl=2.0)
 
-        async def story(servo, bench=bench, limit=limit):
+        async def scenario(servo, bench=bench, limit=limit):
             await call(servo, "torque", True)
             await call(servo, "setPosition", 0.5)
             profile = bench.servos[1].table["profile_velocity"]
@@ -202,7 +202,7 @@ def test_rounding_never_exceeds_the_speed_limit(drive_mode):
             with pytest.raises(DeviceError, match="above the limit"):
                 await call(servo, "setVelocity", limit * 1.001)
 
-        bench.run(story)
+        bench.run(scenario)
 
 
 @on_bench(in_mode, 0)
@@ -220,7 +220,7 @@ async def test_huge_and_infinite_numbers_are_refused_without_a_limit(bench, serv
 
 
 @on_bench(in_mode, 0, lowest=-0.3, highest=0.3)
-async def test_range_ends_are_reachable_despite_rounding(bench, servo, /):
+async def test_ends_of_the_range_are_reachable_with_rounding_errors(bench, servo, /):
     await call(servo, "setRange", -math.pi, math.pi)
     await call(servo, "torque", True)
     await call(servo, "moveTo", 0.1 + 0.2)

@@ -1,4 +1,4 @@
-"""Packets compared with the vendor's SDK, and arbitrary bytes."""
+"""Packets equal those of the SDK of the vendor, and the readers accept any bytes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from lfield_dynamixel.bus.packets import (
 
 
 class Wire:
-    """A port of the vendor's SDK that stores the written bytes and returns a given answer."""
+    """A port for the SDK of the vendor. It stores the written bytes and returns the given answer."""
 
     def __init__(self, answer: bytes = b"") -> None:
         self.is_using, self.written, self.answer = False, b"", answer
 
-    def clearPort(self):  # the SDK's own name, like those below
+    def clearPort(self):  # the SDK defines the names of these methods
         pass
 
     def writePort(self, packet):
@@ -46,7 +46,7 @@ class Wire:
 
 
 NUMBERS = st.integers(0, 252)
-# Bytes with many headers and much stuffing.
+# Data with many packet headers and stuffed bytes.
 TRICKY = st.lists(st.sampled_from([b"\xff", b"\xfd", b"\x00", b"\x55", b"\x01"]), max_size=60).map(b"".join)
 
 
@@ -68,7 +68,7 @@ def test_packet_equals_the_example_of_the_protocol_page():
 
 @given(NUMBERS, st.integers(0, 0xFFFF), TRICKY | st.binary(max_size=60))
 def test_write_equals_that_of_the_vendor_sdk(number, address, data):
-    # The SDK (4.1.0) does not send the stuffed packet: it discards it and sends the original.
+    # The SDK (4.1.0) discards the stuffed packet and sends the packet without stuffing.
     assume(b"\xff\xff\xfd" not in address.to_bytes(2, "little") + data)
     wire = Wire()
     PacketHandler(2.0).writeTxOnly(wire, number, address, len(data), list(data))
@@ -83,14 +83,14 @@ def test_protocol_1_write_equals_that_of_the_vendor_sdk(number, address, data):
 
 
 def sdk_misreads(body: bytes) -> bool:
-    """The SDK removes stuffing in place: after the first stuffed byte it takes any FF FD FD for stuffed."""
+    """After the first stuffed byte, the SDK removes a byte of every FF FD FD, also if none was stuffed."""
     first = body.find(b"\xff\xff\xfd")
     return first >= 0 and b"\xff\xfd\xfd" in body[first + 2 :]
 
 
 @given(NUMBERS, st.integers(0, 255), TRICKY.filter(bool))
 @example(0, 0, b"\xff\xff\xfd\xff\xfd\xfd")
-def test_answer_is_read_as_by_the_vendor_sdk(number, error, data):
+def test_answer_is_read_as_the_vendor_sdk_reads_it(number, error, data):
     packet = status2(number, error, data)
     if sdk_misreads(bytes((error,)) + data):
         assert Reader2().feed(packet) == [Status(number, error, data)]
@@ -107,23 +107,23 @@ def test_stuffing_is_reversible(body):
 
 @pytest.mark.parametrize(("reader", "status"), [(Reader1, status1), (Reader2, status2)])
 @given(st.lists(st.tuples(NUMBERS, st.integers(0, 255), st.binary(max_size=40)), max_size=5), st.data())
-def test_answers_are_read_from_pieces(reader, status, answers, data):
+def test_answers_are_read_for_every_split_of_the_bytes(reader, status, answers, data):
     stream = b"".join(status(*answer) for answer in answers)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
-    taken, found = reader(), []
+    stream_reader, found = reader(), []
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        found += taken.feed(stream[start:end])
+        found += stream_reader.feed(stream[start:end])
     assert found == [Status(*answer) for answer in answers]
 
 
 @pytest.mark.parametrize("reader", [Reader1, Reader2])
 @given(st.lists(TRICKY | st.binary(max_size=300), max_size=20))
-def test_reader_survives_any_bytes(reader, chunks):
-    taken = reader()
+def test_reader_accepts_any_bytes(reader, chunks):
+    stream_reader = reader()
     for chunk in chunks:
-        for status in taken.feed(chunk):
+        for status in stream_reader.feed(chunk):
             assert 0 <= status.number <= 255
-        assert len(taken._buffer) <= MAX_BUFFER
+        assert len(stream_reader._buffer) <= MAX_BUFFER
 
 
 @given(st.binary(min_size=15, max_size=15), st.integers(0, 25), st.integers(1, 255))

@@ -1,4 +1,4 @@
-"""The stock resource types compile with the manifests, and so does a mission that includes them."""
+"""The resource types of the driver compile with its manifests, and a mission that includes them compiles."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ from dynamixel_bench import Bench, call
 from lfield.errors import DeviceError
 
 
-async def under_way(device, *goals):
-    """Torque on, and in the middle of a motion whose call was cancelled."""
+async def start_motion(device, *goals):
+    """Switch the torque on, start a motion, and cancel its call after 0.3 s."""
     await call(device, "torque", True)
     await call(device, "setProfile", 1.0, 0.0)
     moving = asyncio.ensure_future(call(device, "moveTo", list(goals) if len(goals) > 1 else goals[0]))
@@ -23,8 +23,8 @@ async def under_way(device, *goals):
 
 
 @on_bench(Bench)
-async def test_turning_servo_reports_its_speed_and_rests_when_held(bench, servo, /):
-    await under_way(servo, 1.5)
+async def test_turning_servo_reports_its_speed_and_rests_in_torque_hold(bench, servo, /):
+    await start_motion(servo, 1.5)
     assert re.fullmatch(r"turning at \d\.\d rad/s", servo.moving()), servo.moving()
     await servo.make_safe()
     assert servo.moving() == ""
@@ -32,9 +32,9 @@ async def test_turning_servo_reports_its_speed_and_rests_when_held(bench, servo,
 
 @on_bench(Bench, safe_state="torque_off")
 async def test_servo_with_torque_off_is_at_rest_until_torque_returns(bench, servo, /):
-    await under_way(servo, 1.5)
+    await start_motion(servo, 1.5)
     await servo.make_safe()
-    # The last measurement may be outdated: the servo counts as turning until the next one.
+    # The last measurement may be too old; the driver reports motion until the next measurement.
     await asyncio.sleep(0.3)
     assert servo.moving() == ""
     bench.servos[1].table.put("torque_enable", 1)
@@ -43,8 +43,8 @@ async def test_servo_with_torque_off_is_at_rest_until_torque_returns(bench, serv
 
 
 @on_bench(Bench, safe_state="torque_off")
-async def test_servo_turned_from_outside_is_not_at_rest(bench, servo, /):
-    await under_way(servo, 1.5)
+async def test_servo_turned_by_an_external_force_is_not_at_rest(bench, servo, /):
+    await start_motion(servo, 1.5)
     await servo.make_safe()
     for _ in range(20):
         bench.servos[1].motion.motor.speed, bench.servos[1].motion.resting = 2.0, False
@@ -54,8 +54,8 @@ async def test_servo_turned_from_outside_is_not_at_rest(bench, servo, /):
 
 @pytest.mark.parametrize("state", ["torque_off", "torque_hold"])
 @on_bench(Bench, 1, 2, 3, given="safe_state=state")
-async def test_member_without_answer_is_named_as_not_at_rest(bench, group, /, state):
-    await under_way(group, 1.5, 1.5, 1.5)
+async def test_member_without_answer_is_reported_as_not_at_rest(bench, group, /, state):
+    await start_motion(group, 1.5, 1.5, 1.5)
     await group.make_safe()
     await asyncio.sleep(0.3)
     assert group.moving() == ""
@@ -70,8 +70,8 @@ async def test_member_without_answer_is_named_as_not_at_rest(bench, group, /, st
 
 
 @on_bench(Bench, 1, 2)
-async def test_turning_members_are_named(bench, group, /):
-    await under_way(group, 1.5, 1.5)
+async def test_turning_members_are_reported(bench, group, /):
+    await start_motion(group, 1.5, 1.5)
     assert re.fullmatch(r"servo 1 turning at [\d.]+ rad/s, servo 2 turning at .*", group.moving())
 
 
@@ -87,9 +87,9 @@ async def test_unplugged_adapter_means_not_at_rest(bench, servo, /):
 
 @on_bench(Bench, safe_state="torque_off")
 async def test_measurement_before_a_stop_does_not_prove_rest(bench, servo, /):
-    await under_way(servo, 1.5)
+    await start_motion(servo, 1.5)
     at, seen = servo._readings[1]
-    servo._readings[1] = (at, replace(seen, velocity=0.0))  # as before the motion
+    servo._readings[1] = (at, replace(seen, velocity=0.0))  # the value before the motion
     turned = bench.servos[1].motion.motor.speed
     await servo.make_safe()
     report = servo.moving()

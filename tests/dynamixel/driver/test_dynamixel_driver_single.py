@@ -1,4 +1,4 @@
-"""One servo: instructions, limits, modes, EEPROM, safe states, watchdog; on the fake, on virtual time."""
+"""One simulated servo in virtual time: instructions, limits, modes, EEPROM, safe states, watchdog."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from lfield.errors import DeviceError
 NAN = math.nan
 
 
-async def stiff(servo, velocity=2.0, acceleration=10.0):
+async def enable(servo, velocity=2.0, acceleration=10.0):
     await call(servo, "torque", True)
     await call(servo, "setProfile", velocity, acceleration)
 
 
-def refused(bench: Bench, *instruction: object, match: str, prepare=stiff) -> None:
-    """The instruction raises with these words, and writes nothing to the servo."""
+def refused(bench: Bench, *instruction: object, match: str, prepare=enable) -> None:
+    """Check that the instruction raises this error and writes nothing to the servo."""
 
-    async def story(servo):
+    async def scenario(servo):
         await prepare(servo)
         sent = len(bench.sent)
         with pytest.raises(DeviceError, match=match):
@@ -30,24 +30,24 @@ def refused(bench: Bench, *instruction: object, match: str, prepare=stiff) -> No
         writes = [packet for _, packet in bench.sent[sent:] if packet[7] in (0x03, 0x83)]
         assert writes == []
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 def test_opening_identifies_the_servo_and_sets_its_watchdog():
     bench = Bench(7)
 
-    async def story(servo):
+    async def scenario(servo):
         assert await servo.open() == "XL330-M288 7 (firmware 52, position mode)"
-        assert bench.servos[7].table["bus_watchdog"] == 50  # 20 ms each: twice the ttl
+        assert bench.servos[7].table["bus_watchdog"] == 50  # in units of 20 ms: twice the time-to-live
         assert not bench.servos[7].table["torque_enable"]
 
     bench.servos[7].table.put("firmware_version", 52)
-    bench.run(story, opened=False)
+    bench.run(scenario, opened=False)
 
 
 @on_bench(Bench)
 async def test_move_to_ends_at_the_goal(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     start = asyncio.get_running_loop().time()
     await call(servo, "moveTo", 1.0)
     assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
@@ -57,11 +57,11 @@ async def test_move_to_ends_at_the_goal(bench, servo, /):
 
 
 @pytest.mark.parametrize("time_based", [False, True])
-def test_speed_limit_is_in_every_profile(time_based):
+def test_every_profile_keeps_the_speed_limit(time_based):
     bench = Bench(limits={"speed": 1.0})
     bench.servos[1].table.put("drive_mode", 4 if time_based else 0)
 
-    async def story(servo):
+    async def scenario(servo):
         await call(servo, "torque", True)
         moving = asyncio.ensure_future(call(servo, "moveTo", 1.0))
         fastest = 0.0
@@ -71,12 +71,12 @@ def test_speed_limit_is_in_every_profile(time_based):
         await moving
         assert 0.8 < fastest < 1.15
 
-    bench.run(story)
+    bench.run(scenario)
 
 
 @on_bench(Bench)
 async def test_servo_setpoint_is_sent_once(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     sent = len(bench.sent)
     await call(servo, "setPosition", 0.3)
     await asyncio.sleep(1.0)
@@ -87,7 +87,7 @@ async def test_servo_setpoint_is_sent_once(bench, servo, /):
 
 @on_bench(Bench, limits={"speed": 3.0, "current": 0.5})
 async def test_velocity_and_current_require_their_mode(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     with pytest.raises(DeviceError, match="setVelocity requires the mode velocity; servo 1 is in position"):
         await call(servo, "setVelocity", 1.0)
     await call(servo, "mode", "velocity")
@@ -128,7 +128,7 @@ def test_invalid_value_is_refused_before_a_packet_is_sent(instruction, match):
     refused(bench, *instruction, match=match)
 
 
-def test_error_states_the_position_limits_of_the_servo():
+def test_error_has_the_position_limits_of_the_servo():
     bench = Bench()
     bench.servos[1].table.put("max_position_limit", 2500)
     refused(bench, "moveTo", 1.0, match="only moves from -3.142 to 0.693 rad")
@@ -142,7 +142,7 @@ def test_motion_without_torque_is_refused():
 
 
 @on_bench(Bench)
-async def test_released_servo_shows_torque_off_when_motion_is_refused(bench, servo, /):
+async def test_motion_after_torque_off_is_refused_and_reports_torque_off(bench, servo, /):
     await servo.execute("torque", [True])
     await servo.make_safe("torque_off")
     with pytest.raises(DeviceError, match="torque of servo 1 is off"):
@@ -160,8 +160,8 @@ def test_model_without_current_measurement_is_refused():
 
 
 @on_bench(Bench)
-async def test_obstacle_ends_the_motion_and_the_force(bench, servo, /):
-    await stiff(servo)
+async def test_obstacle_ends_the_motion_and_sets_the_goal_to_the_position(bench, servo, /):
+    await enable(servo)
     bench.fault("stuck=true")
     with pytest.raises(DeviceError, match=r"servo 1 stopped 1\.\d+ rad short"):
         await call(servo, "moveTo", 1.2)
@@ -170,7 +170,7 @@ async def test_obstacle_ends_the_motion_and_the_force(bench, servo, /):
 
 @on_bench(Bench)
 async def test_overload_is_reported_and_reboot_clears_it(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     bench.fault("overload=true")
     with pytest.raises(DeviceError, match=r"overload|short"):
         await call(servo, "moveTo", 1.2)
@@ -184,23 +184,22 @@ async def test_overload_is_reported_and_reboot_clears_it(bench, servo, /):
     await call(servo, "reboot")
     assert bench.values["fault"] == ""
     assert bench.servos[1].table["bus_watchdog"] == 50
-    await stiff(servo)
+    await enable(servo)
     await call(servo, "moveTo", 0.2)
 
 
 @on_bench(Bench, limits={"speed": 2.0})
 async def test_move_until_stops_at_the_force_and_keeps_it(bench, servo, /):
     await call(servo, "mode", "currentPosition")
-    await stiff(servo, 1.0)
+    await enable(servo, 1.0)
     moving = asyncio.ensure_future(call(servo, "moveUntil", 1.0, 0.3))
     await asyncio.sleep(0.4)
     bench.servos[1].motion.motor.blocked = True
     await moving
     assert bench.values["position"] < 0.9
     assert abs(bench.values["current"]) >= 0.25
-    await (
-        servo.make_safe()
-    )  # the safe state keeps the force: with the present position as goal the load would fall
+    # The safe state keeps the force; with the present position as the goal, the load would fall.
+    await servo.make_safe()
     await asyncio.sleep(1.0)
     assert abs(bench.values["current"]) >= 0.25
     bench.servos[1].motion.motor.blocked = False
@@ -210,7 +209,7 @@ async def test_move_until_stops_at_the_force_and_keeps_it(bench, servo, /):
 
 @on_bench(Bench)
 async def test_calibration_is_stored_and_published(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     await call(servo, "moveTo", 0.3)
     await call(servo, "calibrate", 0.0)
     await asyncio.sleep(0.2)
@@ -222,7 +221,7 @@ async def test_calibration_is_stored_and_published(bench, servo, /):
 
 @on_bench(Bench)
 async def test_range_is_written_with_torque_off_and_torque_is_restored(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     await call(servo, "setRange", -0.5, 0.5)
     table = bench.servos[1].table
     assert (table["min_position_limit"], table["max_position_limit"]) == (1722, 2374)
@@ -233,7 +232,7 @@ async def test_range_is_written_with_torque_off_and_torque_is_restored(bench, se
 
 @on_bench(Bench)
 async def test_torque_hold_stops_at_the_present_position(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
     await asyncio.sleep(0.4)
     moving.cancel()
@@ -248,16 +247,16 @@ async def test_torque_hold_stops_at_the_present_position(bench, servo, /):
 
 @on_bench(Bench)
 async def test_stop_ends_the_motion_and_accepts_the_next_goal(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
     await asyncio.sleep(0.4)
     moving.cancel()
     await call(servo, "stop")
     assert bench.values["velocity"] == pytest.approx(0.0, abs=0.03)
-    stood = bench.values["position"]
-    assert 0.2 < stood < 1.2
+    stopped_at = bench.values["position"]
+    assert 0.2 < stopped_at < 1.2
     await asyncio.sleep(1.0)
-    assert bench.values["position"] == pytest.approx(stood, abs=0.02)
+    assert bench.values["position"] == pytest.approx(stopped_at, abs=0.02)
     await call(servo, "moveTo", 0.0)
 
 
@@ -270,7 +269,7 @@ async def test_stop_does_not_switch_the_torque_on(bench, servo, /):
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.003, 0.004, 0.005])
 @on_bench(Bench, safe_state="torque_off")
 async def test_cancelled_mode_change_ends_with_torque_off(bench, servo, /, delay):
-    await stiff(servo)
+    await enable(servo)
     changing = asyncio.ensure_future(call(servo, "mode", "velocity"))
     await asyncio.sleep(delay)
     changing.cancel()
@@ -281,14 +280,14 @@ async def test_cancelled_mode_change_ends_with_torque_off(bench, servo, /, delay
 
 @on_bench(Bench, safe_state="torque_off")
 async def test_torque_off_is_confirmed(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     await servo.make_safe()
     assert bench.servos[1].table["torque_enable"] == 0
 
 
 @on_bench(Bench, safe_state="torque_off")
 async def test_unconfirmed_servo_safe_state_is_an_error(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     bench.fault("dead=true")
     with pytest.raises(DeviceError, match="servo 1 does not answer") as caught:
         await servo.make_safe()
@@ -299,7 +298,7 @@ async def test_unconfirmed_servo_safe_state_is_an_error(bench, servo, /):
 
 @on_bench(Bench)
 async def test_watchdog_fires_without_packets_and_only_release_clears_it(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     await call(servo, "setProfile", 0.5, 0.0)
     moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
     await asyncio.sleep(0.3)
@@ -316,17 +315,17 @@ async def test_watchdog_fires_without_packets_and_only_release_clears_it(bench, 
     assert "servo 1 stopped by its own watchdog; release() frees it" in bench.notes
     with pytest.raises(DeviceError, match=r"stopped by its own watchdog; call release\(\)"):
         await call(servo, "moveTo", 0.0)
-    place = bench.values["position"]
+    stopped_position = bench.values["position"]
     await call(servo, "release")
     await asyncio.sleep(1.0)
-    assert bench.values["position"] == pytest.approx(place, abs=0.02)
+    assert bench.values["position"] == pytest.approx(stopped_position, abs=0.02)
     assert bench.servos[1].table["bus_watchdog"] == 50
     await call(servo, "moveTo", 0.0)
 
 
 @on_bench(Bench, ttl=0.04)
 async def test_short_ttl_is_polled_faster_than_the_watchdog(bench, servo, /):
-    await stiff(servo)
+    await enable(servo)
     await asyncio.sleep(2.0)
     assert bench.servos[1].table["bus_watchdog"] == 4
     await call(servo, "moveTo", 0.3)
@@ -353,15 +352,15 @@ def test_status_return_level_is_set_at_opening():
     ],
 )
 def test_wrong_model_or_absent_servo_is_refused(options, match):
-    async def story(servo):
+    async def scenario(servo):
         with pytest.raises(DeviceError, match=match):
             await servo.open()
 
-    Bench(**options).run(story, opened=False)
+    Bench(**options).run(scenario, opened=False)
 
 
 @on_bench(Bench, opened=False)
-async def test_unknown_model_number_is_named(bench, servo, /):
+async def test_error_has_the_unknown_model_number(bench, servo, /):
     bench.servos[1].table.put("model_number", 4711)
     with pytest.raises(DeviceError, match="model number 4711, which is not in the tables"):
         await servo.open()

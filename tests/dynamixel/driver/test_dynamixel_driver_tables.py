@@ -1,4 +1,4 @@
-"""Control tables and units: every model's table is consistent, and conversions are reversible."""
+"""Control tables and units: the table of every model is consistent, and conversions are reversible."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EVERY = pytest.mark.parametrize("model", models().values(), ids=lambda model: mo
 def test_control_table_is_complete_and_without_overlaps(model: Model):
     vendor = "http://doc.feetech.cn/" if model.protocol == 0 else "https://emanual.robotis.com/docs/en/dxl/"
     assert model.manual.startswith(vendor)
-    # In a Feetech servo goal and profile of the speed are one register.
+    # In a Feetech servo, goal velocity and profile velocity are the same register.
     places = sorted({(item.address, item.address + item.size) for item in model.items.values()})
     assert all(end <= start for (_, end), (start, _) in pairwise(places))
     needed = {"model_number", "firmware_version", "torque_enable", "goal_position", "profile_velocity"}
@@ -93,7 +93,7 @@ def test_any_register_bytes_are_decoded(model: Model, data, error):
 )  # fmt: skip
 @example(0.0, 0.0, 1.0, 5e-324, True, X)
 def test_any_motion_fits_into_the_registers(angle, distance, speed, acceleration, time_based, model):
-    servo = Servo(Chain(None), Node(1))  # type: ignore[arg-type]  # nothing is sent here
+    servo = Servo(Chain(None), Node(1))  # type: ignore[arg-type]  # this test sends no packet
     servo.model, servo.time_based = model, time_based and model is X
     start, data = servo.motion(angle, distance, speed, acceleration)
     assert model.items["goal_position"].decode(data, start) == model.to_counts(angle)
@@ -102,7 +102,7 @@ def test_any_motion_fits_into_the_registers(angle, distance, speed, acceleration
 
 
 def test_units_equal_those_of_the_manual():
-    # XL330-M288: 0.229 rev/min, 1 mA, 0.1 V; half a turn is 2048.
+    # Units of XL330-M288: 0.229 rev/min, 1 mA, 0.1 V; half a turn is 2048.
     data = bytearray(25)
     for name, value in (("present_velocity", -100), ("present_current", 500), ("present_position", 4096)):
         item = X.items[name]

@@ -1,4 +1,4 @@
-"""Two servos with one id on a bus, and one servo whose answers are late."""
+"""Two servos with the same id on a bus, and one servo whose answers are late."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOTHING, ONE, TWO = b"", ANSWER, ANSWER + ANSWER
 
 
 class ScriptedBus:
-    """Return these answers in turn, the last one repeatedly."""
+    """A bus that returns these answers one after another, and then repeats the last one."""
 
     def __init__(self, answers: Sequence[bytes]) -> None:
         self._answers = list(answers)
@@ -37,7 +37,7 @@ def conflict(answers: Sequence[bytes]) -> str:
     [[TWO], [ONE, TWO, TWO, ONE, TWO], [NOTHING, TWO, TWO, TWO, TWO]],
     ids=["all", "some", "one lost"],
 )
-def test_double_answers_prove_two_servos(answers: Sequence[bytes]) -> None:
+def test_double_answers_report_two_servos(answers: Sequence[bytes]) -> None:
     assert "two servos answer to the id 1" in conflict(answers)
 
 
@@ -46,5 +46,5 @@ def test_double_answers_prove_two_servos(answers: Sequence[bytes]) -> None:
     [[ONE], [NOTHING, TWO, ONE], [NOTHING, TWO] * 6],
     ids=["in time", "one late", "each second one late"],
 )
-def test_late_answers_of_one_servo_prove_no_second_servo(answers: Sequence[bytes]) -> None:
+def test_late_answers_of_one_servo_do_not_report_a_second_servo(answers: Sequence[bytes]) -> None:
     assert conflict(answers) == ""

@@ -1,4 +1,4 @@
-"""The log of a servo bus: bytes in hexadecimal with their times."""
+"""The wire log of a servo bus: times and bytes in hexadecimal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A chain of simulated servos on the time of the test, and the packets of its answers."""
+"""A chain of simulated servos with a clock of the test, and a parser for its answers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RESULT_FAIL, BAD_INSTRUCTION, BAD_CRC, RANGE, LENGTH, LIMIT, ACCESS, ALERT = 1, 
 
 
 def parse(data: bytes) -> list[tuple[int, int, bytes]]:
-    """Status packets as id, error and data; each must be valid."""
+    """The id, error and data of each status packet. Fails if a packet is not valid."""
     found = []
     while data:
         end = 7 + int.from_bytes(data[5:7], "little")
@@ -31,7 +31,7 @@ def parse(data: bytes) -> list[tuple[int, int, bytes]]:
 
 
 class Bus:
-    """A chain and its time."""
+    """A chain and the present time."""
 
     def __init__(self, *ids: int, model: str = "XM430-W350", **settings: int) -> None:
         servos = []
@@ -43,23 +43,23 @@ class Bus:
         self.now, self.baud = 1.0, None
 
     def send(self, raw: bytes) -> bytes:
-        """Send bytes; returns all replies before the next request."""
+        """Send bytes and return all replies that arrive before the next request."""
         replies = self.chain.receive(raw, self.now, self.baud)
         self.now = max([self.now + 0.005, *(reply.at for reply in replies)])
         return b"".join(reply.data for reply in replies)
 
     def ask(self, id: int, instruction: int, parameters: bytes = b"") -> list[tuple[int, int, bytes]]:
-        """The answers to an instruction."""
+        """Send an instruction and return the answers."""
         return parse(self.send(encode(id, instruction, parameters)))
 
     def read(self, id: int, address: int, length: int) -> bytes:
-        """Registers of a servo that answers without an error."""
-        ((answerer, error, data),) = self.ask(id, READ, struct.pack("<HH", address, length))
-        assert (answerer, error) == (id, 0)
+        """Read registers. Fails if the servo answers with an error."""
+        ((answering_id, error, data),) = self.ask(id, READ, struct.pack("<HH", address, length))
+        assert (answering_id, error) == (id, 0)
         return data
 
     def write(self, id: int, address: int, data: bytes) -> int | None:
-        """The error byte, or None without an answer."""
+        """Write registers. Return the error byte, or None without an answer."""
         answers = self.ask(id, WRITE, struct.pack("<H", address) + data)
         return answers[0][1] if answers else None
 

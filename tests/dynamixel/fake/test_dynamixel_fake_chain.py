@@ -1,4 +1,4 @@
-"""The fake's bus by raw packets on the time of the test: answers, their times, and faults."""
+"""Raw packets on the bus of the fake: answers of single servos and of groups."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_invalid_write_is_refused_with_its_error(address, data, torque, error):
     before = bus.chain.servos[0].table.read(0, 120)
     assert bus.write(1, address, data) == error
     if error:
-        assert bus.chain.servos[0].table.read(0, 120) == before, "no register has changed"
+        assert bus.chain.servos[0].table.read(0, 120) == before, "an error changes no register"
 
 
 def test_write_of_several_registers_is_all_or_nothing():
@@ -160,7 +160,7 @@ def test_registered_writes_wait_for_action():
     assert bus.ask(1, REG_WRITE, b"\x41\x00\x09") == [(1, RANGE, b"")]
 
 
-def test_reboot_is_answered_before_a_silence():
+def test_reboot_is_answered_before_the_servo_restarts():
     bus = Bus()
     bus.write(1, LED, b"\x01")
     assert bus.ask(1, REBOOT) == [(1, 0, b"")]
@@ -193,7 +193,7 @@ def test_clear_resets_turns_only_at_rest():
 
 
 @pytest.mark.parametrize(("model", "data"), [("XM430-W350", 224), ("XL330-M288", 208)])
-def test_indirect_addresses(model, data):
+def test_indirect_addresses_read_and_write_their_registers(model, data):
     bus = Bus(model=model)
     assert bus.write(1, data, b"\x2a") == 0, "initially each pointer refers to its own byte"
     assert bus.read(1, data, 1) == b"\x2a"
@@ -220,8 +220,8 @@ def test_group_read_answers_in_list_order_up_to_a_missing_servo():
     bus = Bus(1, 2, 3)
     assert [id for id, _, _ in parse(bus.send(sync_read(3, 1, 2)))] == [3, 1, 2]
     assert [id for id, _, _ in parse(bus.send(sync_read(3, 77, 2)))] == [3]
-    wishes = struct.pack("<BHHBHH", 2, 144, 2, 1, 146, 1)
-    assert bus.ask(BROADCAST, Instruction.BULK_READ, wishes) == [(2, 0, b"\x78\x00"), (1, 0, b"\x1e")]
+    requests = struct.pack("<BHHBHH", 2, 144, 2, 1, 146, 1)
+    assert bus.ask(BROADCAST, Instruction.BULK_READ, requests) == [(2, 0, b"\x78\x00"), (1, 0, b"\x1e")]
 
 
 def test_fast_read_packet_ends_at_a_missing_servo():
@@ -230,8 +230,8 @@ def test_fast_read_packet_ends_at_a_missing_servo():
     assert (id, error, data[0]) == (BROADCAST, 0, 2)
     assert data[1:5] == struct.pack("<i", 2048)
     assert data[7:9] == b"\x00\x03"
-    wishes = struct.pack("<BHHBHH", 2, 144, 2, 1, 146, 1)
-    whole = bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, wishes))
+    requests = struct.pack("<BHHBHH", 2, 144, 2, 1, 146, 1)
+    whole = bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, requests))
     assert parse(whole)[0][2][:3] == b"\x02\x78\x00"
     cut = bus.send(sync_read(2, 77, 3, fast=True))
     assert len(cut) == 8 + 8, "one block of three"
@@ -257,6 +257,6 @@ def test_group_writes_are_never_answered():
 def test_invalid_group_reads_are_not_answered():
     bus = Bus(1, 2)
     assert bus.send(sync_read(1, 2, 1)) == b""
-    wishes = struct.pack("<BHHBHH", 1, 0, 660, 2, 0, 660)
-    assert bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, wishes)) == b""
-    assert len(bus.ask(BROADCAST, Instruction.BULK_READ, wishes)) == 2
+    requests = struct.pack("<BHHBHH", 1, 0, 660, 2, 0, 660)
+    assert bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, requests)) == b""
+    assert len(bus.ask(BROADCAST, Instruction.BULK_READ, requests)) == 2

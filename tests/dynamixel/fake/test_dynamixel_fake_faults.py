@@ -1,4 +1,4 @@
-"""Time, protocol 1.0, faults and hostile bytes on a chain of simulated servos."""
+"""Times of answers, protocol 1.0, faults and random bytes on a chain of simulated servos."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 
 from lfield_sim.dynamixel.packets import Instruction, encode, encode1
 
-# ---- time -------------------------------------------------------------------------------------------
+# ---- times of answers --------------------------------------------------------------------------------------
 
 
 def test_answer_takes_transmission_time_and_return_delay():
@@ -39,7 +39,7 @@ def test_answer_takes_transmission_time_and_return_delay():
     assert second.at - first.at == pytest.approx(15 * 10 / 57_600 + 500e-6)
 
 
-def test_flood_of_requests_is_answered_late_and_in_bounds():
+def test_number_and_delay_of_answers_to_a_flood_of_requests_are_bounded():
     bus = Bus()
     flood = encode(1, PING) * 2000
     replies = bus.chain.receive(flood, 1.0, 57_600)
@@ -58,11 +58,11 @@ def test_wrong_baud_rate_or_half_a_packet_gets_no_answer():
     assert len(parse(bus.send(raw[5:]))) == 1
     bus.send(raw[:5])
     bus.wait(0.2)
-    assert bus.send(raw[5:]) == b"", "the rest came too late"
+    assert bus.send(raw[5:]) == b"", "the rest of the packet is too late"
     assert len(bus.ask(1, PING)) == 1
 
 
-def test_any_packet_on_the_bus_feeds_every_watchdog():
+def test_any_valid_packet_on_the_bus_resets_every_watchdog():
     bus = Bus(1, 2, bus_watchdog=10)
     bus.write(1, TORQUE, b"\x01")
     for _ in range(10):
@@ -79,7 +79,7 @@ def test_any_packet_on_the_bus_feeds_every_watchdog():
 # ---- protocol 1.0 -----------------------------------------------------------------------------------
 
 
-def test_protocol_1_of_the_fake():
+def test_fake_answers_and_refuses_protocol_1_packets():
     bus = Bus(protocol_type=1)
     assert bus.ask(1, PING) == []
     assert bus.send(encode1(1, PING)) == bytes.fromhex("FF FF 01 02 00 FC")
@@ -88,7 +88,7 @@ def test_protocol_1_of_the_fake():
     assert bus.send(encode1(1, 0x77))[4] == 0x40
     assert bus.send(encode1(BROADCAST, Instruction.SYNC_WRITE, b"\x41\x01\x01\x01")) == b""
     assert bus.send(encode1(BROADCAST, Instruction.BULK_READ, b"\x00\x01\x01\x41"))[5] == 1
-    assert bus.send(encode1(1, READ, b"\x00\xfe"))[4] == 0x08, "longer than an answer may be"
+    assert bus.send(encode1(1, READ, b"\x00\xfe"))[4] == 0x08, "longer than the longest answer"
     raw = bytearray(encode1(1, PING))
     raw[-1] ^= 1
     assert bus.send(bytes(raw))[4] == 0x10
@@ -106,7 +106,7 @@ def test_dead_servo_ends_a_group_read():
     assert bus.chain.servos[1].table["led"] == 0
 
 
-def test_lost_and_corrupt_replies():
+def test_writes_with_lost_replies_are_executed_and_one_byte_is_corrupted():
     bus = Bus(1, 2, 3)
     bus.chain.faults.apply(["lose@2=1"])
     assert bus.write(2, LED, b"\x01") is None
@@ -120,7 +120,7 @@ def test_lost_and_corrupt_replies():
     assert sum(a != b for a, b in zip(good, bad, strict=True)) == 1
 
 
-def test_delayed_foreign_and_nonsense_answers():
+def test_faults_delay_answers_change_their_ids_and_garble_them():
     bus = Bus(1)
     bus.chain.faults.apply(["delay=0.5"])
     assert bus.chain.receive(encode(1, PING), 5.0)[0].at > 5.5
@@ -158,14 +158,14 @@ def test_stuck_servo_does_not_move_and_reports_no_error():
     assert bus.read(1, HARDWARE, 1) == b"\x00"
 
 
-def test_faults_stay_with_the_servo_when_its_id_changes():
+def test_faults_stay_with_the_servo_after_a_change_of_its_id():
     bus = Bus()
     bus.chain.faults.apply(["dead@1=true"])
     bus.chain.servos[0].table.put("id", 5)
     assert bus.ask(5, PING) == []
 
 
-# ---- hostile bytes ----------------------------------------------------------------------------------
+# ---- random bytes ----------------------------------------------------------------------------------
 
 instructions = st.sampled_from([*Instruction, 0x55, 0x77])
 pieces = st.one_of(
@@ -177,7 +177,7 @@ pieces = st.one_of(
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(pieces, st.floats(0.0, 0.3)), max_size=8), st.sampled_from([1, 2]))
-def test_any_bytes_on_the_bus_are_survived(pieces, protocol):
+def test_bus_answers_the_next_packet_after_any_bytes(pieces, protocol):
     bus = Bus(1, 2, protocol_type=protocol, return_delay_time=0, secondary_id=100)
     for piece, pause in pieces:
         bus.wait(pause)
@@ -186,5 +186,5 @@ def test_any_bytes_on_the_bus_are_survived(pieces, protocol):
     servo = bus.chain.servos[0]
     servo.table.put("status_return_level", 2)
     ping = encode(servo.id, PING) if servo.protocol == 2 else encode1(servo.id, PING)
-    assert bus.send(ping), "the next packet is answered"
+    assert bus.send(ping), "no answer to the next packet"
     assert all(len(codec._buffer) <= 1024 for codec in bus.chain._codecs.values())

@@ -1,4 +1,4 @@
-"""Feetech's SDK, unchanged, against the simulated STS3215; refused writes and volatile settings."""
+"""The unchanged SDK of Feetech with the simulated STS3215; refused writes and volatile settings."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from lfield_sim.dynamixel.servo_model import model_named
 from lfield_sim.dynamixel.sts_series import magnitude, signed
 
 BAUD = 1_000_000
-#: Registers by address: id, homing offset, torque switch, goal position, goal speed, lock.
+#: Addresses of registers: id, status return level, homing offset, torque, goal, lock, voltage.
 ID, LEVEL, OFFSET, TORQUE, GOAL, LOCK, VOLTAGE = 5, 8, 31, 40, 42, 55, 62
 
 
 class FeetechPort(ChainWire, sdk.PortHandler):
-    """The SDK's port with a chain at its end."""
+    """The port of the SDK, connected to a chain."""
 
     def __init__(self, chain: ServoChain) -> None:
         super().__init__("virtual")
@@ -27,7 +27,7 @@ class FeetechPort(ChainWire, sdk.PortHandler):
 
 
 class Desk:
-    """The SDK's client, its port, and the servos with the ids 1 to `count`."""
+    """The client and the port of the SDK, and the servos with the ids 1 to `count`."""
 
     def __init__(self, count: int = 1) -> None:
         self.servos = [make_servo(model_named("STS3215")) for _ in range(count)]
@@ -41,11 +41,11 @@ class Desk:
         return self.servos[0]
 
     def send(self, instruction: int, parameters: bytes) -> list:
-        """The answers to an instruction for servo 1."""
+        """Send an instruction to servo 1 and return the answers."""
         return self.port.chain.receive(encode1(1, instruction, parameters), self.port.now, BAUD)
 
     def write(self, address: int, *data: int) -> tuple[int, int]:
-        """Result and error byte of a write to servo 1."""
+        """Write to servo 1. Return the result and the error byte."""
         return self.client.writeTxRx(1, address, len(data), list(data))
 
 
@@ -54,7 +54,7 @@ def desk() -> Desk:
     return Desk()
 
 
-def test_session_of_the_vendor_client():
+def test_vendor_client_pings_moves_and_reads_servos():
     desk = Desk(3)
     client, port = desk.client, desk.port
     assert client.ping(2) == (777, sdk.COMM_SUCCESS, 0)
@@ -92,7 +92,7 @@ def test_wheel_mode_turns_with_its_ramp(desk):
 
 
 @pytest.mark.parametrize("value", [0, 1, -1, 2047, -2047, 5000, -5000])
-def test_sign_and_magnitude_encoding(value):
+def test_sign_and_magnitude_encoding_is_reversible_within_its_range(value):
     assert signed(magnitude(value, 1 << 11), 1 << 11) == max(-2047, min(2047, value))
 
 
@@ -124,7 +124,7 @@ def test_refused_write_changes_nothing_and_is_answered_as_success(desk, address,
 
 
 def test_reads_are_answered_without_answers_to_writes(desk):
-    assert desk.write(LEVEL, 0) == (0, 0), "this write is still answered"
+    assert desk.write(LEVEL, 0) == (0, 0), "the servo answers this write"
     assert desk.write(TORQUE, 1)[0] == sdk.COMM_RX_TIMEOUT
     assert desk.client.read1ByteTxRx(1, TORQUE) == (1, 0, 0)
 
@@ -143,7 +143,7 @@ def test_locked_servo_loses_its_eeprom_without_power(desk):
     assert desk.client.read1ByteTxRx(1, LOCK) == (1, 0, 0)
 
 
-def test_torque_switch_128_centres_the_present_position(desk):
+def test_value_128_in_the_torque_register_centres_the_position(desk):
     desk.client.WritePosEx(1, 1000, 0, 0)
     desk.port.wait(2.0)
     assert desk.write(TORQUE, 128) == (0, 0)
@@ -169,7 +169,7 @@ def test_overload_reduces_the_torque_until_switched_on_again(desk):
     assert desk.client.ping(1) == (777, 0, 0)
 
 
-def test_heat_switches_the_torque_off_and_goals_do_not_restore_it(desk):
+def test_overheating_switches_the_torque_off_and_goals_do_not_restore_it(desk):
     desk.write(TORQUE, 1)
     desk.port.chain.faults.apply(["hot=true"])
     desk.port.wait(6.0)
@@ -184,7 +184,7 @@ def test_heat_switches_the_torque_off_and_goals_do_not_restore_it(desk):
 @pytest.mark.parametrize(
     ("fault", "bit", "torque"), [("sag=5", 0x01, 1), ("encoder=true", 0x02, 1)], ids=["voltage", "encoder"]
 )
-def test_other_errors_appear_in_the_status_only(desk, fault, bit, torque):
+def test_voltage_and_encoder_errors_are_only_reported(desk, fault, bit, torque):
     desk.write(TORQUE, 1)
     desk.port.chain.faults.apply([fault])
     desk.port.wait(0.5)

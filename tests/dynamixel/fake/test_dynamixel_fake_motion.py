@@ -1,4 +1,4 @@
-"""Motion, heat and protection of the fake's servos, on the time of the test."""
+"""Motion, temperature and protection of simulated servos, with a clock of the test."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lfield_sim.dynamixel.servo_motion import ACCELERATION_UNIT, COUNTS, VELOCIT
 
 
 class Bench:
-    """One servo and its time; registers by name."""
+    """One servo and the present time. An index is the name of a register."""
 
     def __init__(self, model: str = "XM430-W350", **settings: int) -> None:
         self.servo = make_servo(model_named(model))
@@ -42,13 +42,13 @@ class Bench:
         raw = self.servo.read(item.address, item.size)
         return int.from_bytes(raw, "little", signed=item.signed)
 
-    def wait(self, seconds: float, *, listening: bool = True) -> Bench:
-        """Advance the time; `listening` says whether there is traffic on the bus."""
+    def wait(self, seconds: float, *, traffic: bool = True) -> Bench:
+        """Advance the time. `traffic`: there are packets on the bus."""
         end = self.now + seconds
         while self.now < end - 1e-9:
             self.now = min(end, self.now + 0.02)
             self.servo.advance(self.now)
-            if listening:
+            if traffic:
                 self.servo.on_packet(self.now)
         return self
 
@@ -70,7 +70,7 @@ def test_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastest,
         assert abs(now) <= most * 1.001 + 1e-6
         assert abs(now - before) <= acceleration * (time - last) * 1.001 + most * 1e-6 + 1e-6
         before, last = now, time
-    # Continuous at the end: no jump to the goal.
+    # The position is continuous at the end of the profile.
     place, now = profile.at(max(0.0, profile.duration * (1 - 1e-9)))
     assert place == pytest.approx(
         goal, abs=1e-3 + 1e-6 * abs(goal - start) + 1e-6 * speed * speed / acceleration
@@ -78,13 +78,13 @@ def test_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastest,
 
 
 @given(places, places, st.floats(0.01, 30.0), st.floats(0.0, 30.0))
-def test_timed_profile_takes_its_time(start, goal, total, rising):
+def test_timed_profile_has_the_given_duration(start, goal, total, rising):
     assume(abs(goal - start) > 1.0)
     profile = MotionProfile(start, 0.0, goal, *timed(goal - start, total, rising))
     assert profile.duration == pytest.approx(total, rel=1e-6)
 
 
-def test_kinds_of_profiles():
+def test_profile_kind_depends_on_speed_and_acceleration():
     assert MotionProfile(0, 0, 100, math.inf, 10.0).kind == STEP
     assert MotionProfile(0, 0, 100, 10.0, math.inf).kind == RECTANGULAR
     assert MotionProfile(0, 0, 100, 10.0, 10.0).kind == TRAPEZOIDAL
@@ -119,10 +119,12 @@ def test_trapezoidal_profile_over_time():
     assert (bench["present_position"], bench["moving"]) == (3000, 0)
 
 
-def test_time_based_profile():
+def test_time_based_profile_has_the_given_duration():
     bench = Bench(drive_mode=4, torque_enable=1, profile_velocity=2000, profile_acceleration=500)
     bench["goal_position"] = 3000
-    assert bench.wait(1.0)["present_position"] == pytest.approx(2524, abs=5), "half way at half time"
+    assert bench.wait(1.0)["present_position"] == pytest.approx(2524, abs=5), (
+        "half of the distance at half of the time"
+    )
     assert bench.wait(0.9)["moving"] == 1
     assert bench.wait(0.2)["moving"] == 0
 
@@ -137,7 +139,7 @@ def test_velocity_mode_with_ramp_over_several_turns():
     assert bench.wait(3.0)["present_velocity"] == pytest.approx(-100, abs=1)
 
 
-def test_extended_position_counts_turns_and_position_mode_drops_them():
+def test_extended_mode_counts_turns_and_position_mode_does_not():
     bench = Bench(operating_mode=4, torque_enable=1, goal_position=10_000).wait(4.0)
     assert bench["present_position"] == 10_000
     bench["torque_enable"] = 0
@@ -145,11 +147,11 @@ def test_extended_position_counts_turns_and_position_mode_drops_them():
     assert bench["present_position"] == 10_000 % 4096
 
 
-def test_current_mode_and_pwm_mode():
+def test_current_and_pwm_modes_apply_their_goals():
     bench = Bench(operating_mode=0, torque_enable=1, goal_current=50).wait(0.04)
     assert bench["present_current"] == pytest.approx(50, abs=2)
     bench = Bench(operating_mode=16, torque_enable=1, goal_pwm=-442).wait(2.0)
-    assert bench["present_velocity"] == pytest.approx(-100, rel=0.05), "half of the fastest"
+    assert bench["present_velocity"] == pytest.approx(-100, rel=0.05), "half of the maximum velocity"
     assert bench["present_pwm"] == pytest.approx(-442, abs=10)
 
 
@@ -159,24 +161,24 @@ def test_current_based_position_holds_with_its_goal_current():
     bench["goal_position"] = 4000
     bench.wait(3.0)
     assert bench["present_current"] == pytest.approx(100, abs=1)
-    assert bench["hardware_error_status"] == 0, "a limited grip is no overload"
+    assert bench["hardware_error_status"] == 0, "a limited current is no overload"
     assert bench["moving_status"] & 0x09 == 0x08
 
 
 def test_servo_stops_at_an_obstacle_and_can_return():
-    servo = Bench(operating_mode=5)
-    servo["torque_enable"], servo["goal_current"] = 1, 100
-    servo.servo.motion.motor.meet(math.pi + 0.3)
-    servo["goal_position"] = 2048 + round(0.6 * COUNTS)
-    servo.wait(1.0)
-    assert servo["present_position"] == pytest.approx(2048 + 0.3 * COUNTS, abs=2)
-    assert abs(servo["present_current"]) > 80
-    servo["goal_position"] = 2048
-    servo.wait(4.0)
-    assert servo["present_position"] == pytest.approx(2048, abs=3)
+    bench = Bench(operating_mode=5)
+    bench["torque_enable"], bench["goal_current"] = 1, 100
+    bench.servo.motion.motor.meet(math.pi + 0.3)
+    bench["goal_position"] = 2048 + round(0.6 * COUNTS)
+    bench.wait(1.0)
+    assert bench["present_position"] == pytest.approx(2048 + 0.3 * COUNTS, abs=2)
+    assert abs(bench["present_current"]) > 80
+    bench["goal_position"] = 2048
+    bench.wait(4.0)
+    assert bench["present_position"] == pytest.approx(2048, abs=3)
 
 
-def test_reverse_and_homing_offset():
+def test_drive_mode_reverses_motion_and_homing_offset_shifts_positions():
     bench = Bench(drive_mode=1, operating_mode=1, torque_enable=1, goal_velocity=50)
     before = bench["present_position"]
     bench.wait(1.0)
@@ -229,17 +231,17 @@ def test_overload_shuts_down_until_reboot():
 
 
 @pytest.mark.parametrize(
-    ("spoil", "bit"),
+    ("apply_fault", "bit"),
     [
         (lambda servo: setattr(servo.motion.motor, "heater", 10.0), 0x04),
         (lambda servo: setattr(servo.motion.motor, "sag", 4.0), 0x01),
         (lambda servo: setattr(servo, "encoder_fault", True), 0x08),
     ],
 )
-def test_error_is_reported_and_shutdown_selects_torque_off(spoil, bit):
+def test_error_is_reported_and_shutdown_selects_torque_off(apply_fault, bit):
     for shutdown in (0, bit):
         bench = Bench(shutdown=shutdown, torque_enable=1)
-        spoil(bench.servo)
+        apply_fault(bench.servo)
         bench.wait(8.0)
         assert bench["hardware_error_status"] == bit
         assert bench["torque_enable"] == (0 if shutdown else 1)
@@ -259,8 +261,8 @@ def test_load_heats_the_servo_and_lowers_the_voltage():
 def test_bus_watchdog_stops_the_servo_and_locks_goals():
     bench = Bench(operating_mode=1, torque_enable=1, bus_watchdog=10, goal_velocity=100)
     assert bench.wait(1.0)["present_velocity"] > 90, "with traffic on the bus"
-    assert bench.wait(0.18, listening=False)["bus_watchdog"] == 10
-    bench.wait(0.5, listening=False)
+    assert bench.wait(0.18, traffic=False)["bus_watchdog"] == 10
+    bench.wait(0.5, traffic=False)
     assert (bench["bus_watchdog"], bench["present_velocity"], bench["torque_enable"]) == (255, 0, 1)
     for name, value in (("goal_velocity", 50), ("bus_watchdog", 10)):
         with pytest.raises(InstructionRefused, match="RANGE"):
@@ -272,7 +274,7 @@ def test_bus_watchdog_stops_the_servo_and_locks_goals():
 
 def test_watchdog_is_inactive_while_torque_is_off():
     bench = Bench(bus_watchdog=1)
-    assert bench.wait(1.0, listening=False)["bus_watchdog"] == 1
+    assert bench.wait(1.0, traffic=False)["bus_watchdog"] == 1
 
 
 def test_realtime_tick_counts_milliseconds_and_wraps():
@@ -289,7 +291,7 @@ def test_startup_configuration_restores_the_torque_after_reboot():
     assert bench["torque_enable"] == 1
 
 
-# ---- AX ---------------------------------------------------------------------------------------------
+# ---- AX-12A ---------------------------------------------------------------------------------------------
 
 
 def test_ax_goal_switches_the_torque_on_and_moves_at_its_speed():
@@ -303,7 +305,7 @@ def test_ax_goal_switches_the_torque_on_and_moves_at_its_speed():
     assert bench.wait(0.5)["present_speed"] == pytest.approx(1024 + 100, abs=2), "clockwise"
 
 
-def test_ax_wheel_mode():
+def test_ax_wheel_mode_turns_without_an_end():
     bench = Bench("AX-12A", ccw_angle_limit=0, torque_enable=1, moving_speed=1024 + 512).wait(1.0)
     assert bench["present_speed"] == pytest.approx(1024 + 512 * 59 / 0.111 / 1023, rel=0.05)
     assert bench.wait(3.0)["moving"] == 1
@@ -333,7 +335,7 @@ def test_overloaded_ax_is_restored_by_its_torque_limit():
     st.sampled_from(["XM430-W350", "AX-12A"]),
     st.lists(st.tuples(st.integers(0, 200), st.integers(-(1 << 31), 1 << 31)), max_size=12),
 )
-def test_any_write_is_survived(model, writes):
+def test_servo_is_readable_after_any_writes(model, writes):
     bench = Bench(model)
     names = sorted(bench.servo.model.items)
     for number, value in writes:

@@ -1,4 +1,4 @@
-"""The fake's packets compared with the manual's examples, the vendor's code, and arbitrary bytes."""
+"""Packets of the fake equal those of the manual and of the vendor, and random bytes are skipped."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MANUAL = [
     ("FF FF FD 00 01 03 00 08 2F 4E", 1, 0x08, ""),
     ("FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA", 0xFE, 0x82, "84 00 04 00 01 02"),
 ]
-#: Bytes with many headers.
+#: Data with many packet headers.
 mostly_headers = st.lists(st.sampled_from([0xFF, 0xFF, 0xFD, 0xFD, 0x00, 0x01, 0x55])).map(bytes)
 
 
@@ -71,7 +71,7 @@ def test_fake_stuffing_is_reversible(data):
 
 
 @given(st.integers(0, 252), st.integers(1, 255), mostly_headers | st.binary(max_size=300), st.integers(1, 40))
-def test_packets_are_read_however_they_are_cut(id, instruction, parameters, cut):
+def test_packets_are_read_for_every_split_of_the_bytes(id, instruction, parameters, cut):
     for codec, make in ((Codec2(), encode), (Codec1(), encode1)):
         parameters = parameters[:200]
         raw = make(id, instruction, parameters)
@@ -88,7 +88,7 @@ def test_noise_is_skipped_and_the_next_packet_is_found(pieces):
         codec.feed(piece)
         assert len(codec._buffer) <= MAX_PACKET
     packet = encode(7, 2, b"\x84\x00\x04\x00")
-    # A damaged length may swallow one packet; the header of the next one ends it.
+    # With a damaged length one packet may be lost; the header of the next packet ends it.
     found = codec.feed(packet) + codec.feed(packet)
     assert [p.id for p in found if p.is_valid][-1:] == [7]
 

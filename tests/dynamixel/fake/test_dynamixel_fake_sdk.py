@@ -1,4 +1,4 @@
-"""The vendor's SDK, unchanged, against the fake: on virtual time in this process, and through a terminal."""
+"""The unchanged SDK of the vendor with the fake: in virtual time, and in a process with a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IDS = (1, 2, 3, 4, 5, 6)
 
 
 class VirtualPort(ChainWire, sdk.PortHandler):
-    """The SDK's port with a chain at its end."""
+    """The port of the SDK, connected to a chain."""
 
     def __init__(self, chain: ServoChain) -> None:
         super().__init__("virtual")
@@ -47,7 +47,7 @@ def packets() -> sdk.Protocol2PacketHandler:
     return sdk.Protocol2PacketHandler()
 
 
-def test_sdk_pings(packets):
+def test_sdk_pings_one_servo_and_all_servos(packets):
     port = virtual(*IDS)
     assert packets.ping(port, 3) == (1020, sdk.COMM_SUCCESS, 0)
     assert packets.broadcastPing(port) == ({id: [1020, 52] for id in IDS}, sdk.COMM_SUCCESS)
@@ -65,7 +65,7 @@ def test_sdk_reads_and_writes_of_every_size(packets):
     assert packets.write1ByteTxRx(port, 1, LED, 9) == (0, 4)
 
 
-def test_sdk_registered_writes(packets):
+def test_sdk_action_executes_registered_writes(packets):
     port = virtual(1, 2)
     for id in (1, 2):
         assert packets.regWriteTxRx(port, id, LED, 1, [1]) == (0, 0)
@@ -74,7 +74,7 @@ def test_sdk_registered_writes(packets):
     assert [packets.read1ByteTxRx(port, id, LED)[0] for id in (1, 2)] == [1, 1]
 
 
-def test_sdk_group_reads(packets):
+def test_sdk_reads_groups_of_servos(packets):
     port = virtual(*IDS)
     group = sdk.GroupSyncRead(port, packets, POSITION, 4)
     for id in IDS:
@@ -101,7 +101,7 @@ def test_sdk_group_read_fails_with_a_missing_servo(packets):
     assert group.fastSyncRead() == sdk.COMM_RX_CORRUPT
 
 
-def test_sdk_group_writes(packets):
+def test_sdk_writes_groups_of_servos(packets):
     port = virtual(1, 2)
     sync = sdk.GroupSyncWrite(port, packets, GOAL, 4)
     assert sync.addParam(1, [0xE8, 3, 0, 0])
@@ -116,7 +116,7 @@ def test_sdk_group_writes(packets):
     assert packets.read4ByteTxRx(port, 2, GOAL)[0] == 1
 
 
-def test_sdk_reboot_clear_and_factory_reset(packets):
+def test_sdk_reboots_clears_and_resets_a_servo(packets):
     port = virtual(7, operating_mode=4)
     packets.write1ByteTxRx(port, 7, LED, 1)
     assert packets.reboot(port, 7) == (0, 0)
@@ -133,14 +133,14 @@ def test_sdk_reboot_clear_and_factory_reset(packets):
     assert packets.ping(port, 1)[1] == 0
 
 
-def test_sdk_with_protocol_1():
+def test_sdk_reads_and_writes_with_protocol_1():
     port, packets = virtual(1, protocol_type=1), sdk.Protocol1PacketHandler()
     assert packets.ping(port, 1) == (1020, 0, 0)
     assert packets.write4ByteTxRx(port, 1, GOAL, 1000) == (0, 0)
     assert packets.read4ByteTxRx(port, 1, GOAL) == (1000, 0, 0)
 
 
-def test_sdk_with_an_ax_servo():
+def test_sdk_moves_an_ax_servo_and_receives_its_errors():
     servo = make_servo(model_named("AX-12A"))
     servo.start_with(5, 57_600, 1, 0.0)
     port, packets = VirtualPort(ServoChain([servo])), sdk.Protocol1PacketHandler()
@@ -157,7 +157,7 @@ def test_sdk_with_an_ax_servo():
     assert packets.read1ByteTxRx(port, 5, 24) == (0, 0, 0x20), "every answer contains the error"
 
 
-# ---- through a terminal -----------------------------------------------------------------------------
+# ---- pseudo-terminal -----------------------------------------------------------------------------
 
 
 @contextmanager
@@ -168,12 +168,12 @@ def running(*options: str) -> Iterator[tuple[RunningFake, str]]:
         assert kind == "serial"
         yield fake, path
     assert fake.process.returncode == 0
-    assert not os.path.lexists(path), "the link must be removed"
+    assert not os.path.lexists(path), "the fake has not removed its link"
 
 
 @pytest.fixture
 def long_sdk_timeout(monkeypatch) -> None:
-    """The SDK's timeout of 34 ms is too short for a loaded computer."""
+    """Increase the timeout of the SDK: 34 ms are too short on a loaded computer."""
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 250)
 
 
@@ -185,7 +185,7 @@ def opened(path: str, baud: int) -> sdk.PortHandler:
 
 
 @pytest.mark.process
-def test_sdk_session_through_a_terminal(packets, long_sdk_timeout):
+def test_sdk_session_with_a_pseudo_terminal(packets, long_sdk_timeout):
     servos = [f"--servo={id}:XL330-M288:arm.joint{id}" for id in IDS]
     with running("--baud", "1000000", *servos) as (fake, path):
         port = opened(path, 1_000_000)
@@ -222,10 +222,10 @@ def test_wrong_baud_rate_gets_no_answer_and_a_nonstandard_rate_works(packets, lo
 
 
 @pytest.mark.process
-def test_unplugged_terminal_fails_and_returns(packets, long_sdk_timeout, tmp_path):
+def test_unplugged_terminal_fails_and_can_be_opened_again(packets, long_sdk_timeout, tmp_path):
     path = str(tmp_path / "ttyDXL")
-    with running("--listen", path) as (fake, where):
-        assert where == path
+    with running("--listen", path) as (fake, port_path):
+        assert port_path == path
         port = opened(path, 57_600)
         assert packets.write1ByteTxRx(port, 1, LED, 1) == (0, 0)
         fake.fault("unplug=true")
@@ -267,11 +267,11 @@ def test_invalid_option_of_the_servo_fake_is_refused(capsys, options, words):
 
 
 def binding(field: str, type: str, **options: object) -> DeviceBinding:
-    where = {"agent": "a", "driver": "dynamixel", "endpoint": "sim:a", "safe_state": "hold"}
-    return DeviceBinding(field=field, type=type, options=options, **where)
+    common = {"agent": "a", "driver": "dynamixel", "endpoint": "sim:a", "safe_state": "hold"}
+    return DeviceBinding(field=field, type=type, options=options, **common)
 
 
-def test_protocol_1_bindings_make_ax_servos():
+def test_fake_of_a_protocol_1_binding_is_an_ax_servo():
     assert SIM.arguments([binding("neck", "Dynamixel", id=3, protocol=1)])[2:] == [
         "--servo",
         "3:AX-12A:a.neck",
@@ -280,7 +280,7 @@ def test_protocol_1_bindings_make_ax_servos():
     assert options[-2:] == ["--protocol", "1.0"]
 
 
-def test_simulated_chain_is_made_from_bindings():
+def test_simulated_chain_has_the_servos_of_the_bindings():
     devices = [
         binding("gripper", "Dynamixel", id=7, model="XL330-M288"),
         binding("arm", "DynamixelGroup", ids=[1, 2, 7], model=""),

@@ -1,12 +1,13 @@
-"""LeRobot's own bus classes against a simulated arm, as its SO-101 and Koch arms use them.
+"""The bus classes of LeRobot with a simulated arm, used as for the SO-101 and Koch arms of LeRobot.
 
     lfield sim dynamixel --listen /tmp/arm --baud 1000000 --calibration examples/07-so101-arm/so101.json \
         $(printf -- '--servo %s:STS3215 ' 1 2 3 4 5 6)
     python tests/dynamixel/foreign/lerobot_bus.py feetech /tmp/arm examples/07-so101-arm/so101.json
 
-In an environment of its own: `pip install --no-deps lerobot` and `pip install deepdiff feetech-servo-sdk
-dynamixel-sdk numpy pyserial tqdm`. torch, accelerate and datasets, which LeRobot's utilities import and its
-buses do not use, are replaced by empty modules. Each line is one step; the exit status is 1 if one failed.
+In a separate environment: `pip install --no-deps lerobot` and `pip install deepdiff feetech-servo-sdk
+dynamixel-sdk numpy pyserial tqdm`. This script replaces torch, accelerate and datasets by empty
+modules: utilities of LeRobot import them, and its buses do not use them. Each line is one step. The exit
+status is 1 if a step failed.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def bus_of(kind: str, port: str, file: str) -> Any:
 
 
 def configure(bus: Any) -> bool:
-    """The steps of SOFollower.configure, which write EEPROM; returns whether the torque is on afterwards."""
+    """The steps of SOFollower.configure, which write EEPROM. Return True if the torque is on afterwards."""
     with bus.torque_disabled():
         bus.configure_motors()
         if hasattr(bus, "protocol_version") and bus.protocol_version == 0:
@@ -62,35 +63,34 @@ def configure(bus: Any) -> bool:
     return all(bus.sync_read("Torque_Enable", normalize=False).values())
 
 
-def moves(bus: Any) -> bool:
-    """A goal for all, as in teleoperation."""
+def move_all(bus: Any) -> bool:
+    """Write a goal for all joints, as in teleoperation. Return True if all reach their goals."""
     goals = dict(zip(bus.motors, GOALS, strict=True))
     bus.sync_write("Goal_Position", goals)
     time.sleep(3.0)  # The simulated servos run in real time.
-    there = bus.sync_read("Present_Position")
-    return all(math.isclose(there[name], goal, abs_tol=1.0) for name, goal in goals.items())
+    positions = bus.sync_read("Present_Position")
+    return all(math.isclose(positions[name], goal, abs_tol=1.0) for name, goal in goals.items())
 
 
-def centres(bus: Any) -> bool:
-    """The homing of lerobot-calibrate: every joint is in the middle of its turn afterwards."""
+def centre_all(bus: Any) -> bool:
+    """The homing of lerobot-calibrate. Return True if every joint is in the middle of its turn afterwards."""
     bus.disable_torque()
     if "dynamixel" in type(bus).__module__:
         for motor in bus.motors:
-            bus.write(
-                "Operating_Mode", motor, 4
-            )  # extended, as the Koch arm does: offsets have no bound there
+            # The Koch arm uses the extended mode, in which offsets are not limited.
+            bus.write("Operating_Mode", motor, 4)
     bus.set_half_turn_homings()
     return all(abs(p - 2047) <= 1 for p in bus.sync_read("Present_Position", normalize=False).values())
 
 
-def restores(bus: Any, joints: dict[str, Any]) -> bool:
-    """Write the calibration and read it back."""
+def restore_calibration(bus: Any, joints: dict[str, Any]) -> bool:
+    """Write the calibration. Return True if the servos have it afterwards."""
     bus.write_calibration(joints)
     return bool(bus.is_calibrated)
 
 
 def main() -> int:
-    """Runs all steps; returns the exit status."""
+    """Run all steps. Return the exit status."""
     bus = bus_of(*sys.argv[1:4])
     joints, failed = dict(bus.calibration), 0
     steps: list[tuple[str, Callable[[], object]]] = [
@@ -98,9 +98,9 @@ def main() -> int:
         ("broadcast ping finds all", lambda: len(bus.broadcast_ping()) == len(joints)),
         ("the servos have the calibration", lambda: bus.is_calibrated),
         ("configure writes EEPROM", lambda: configure(bus)),
-        ("sync write and sync read", lambda: moves(bus)),
-        ("half-turn homing", lambda: centres(bus)),
-        ("the calibration is written back", lambda: restores(bus, joints)),
+        ("sync write and sync read", lambda: move_all(bus)),
+        ("half-turn homing", lambda: centre_all(bus)),
+        ("the calibration is written back", lambda: restore_calibration(bus, joints)),
         ("disconnect", lambda: (bus.disconnect(), not bus.is_connected)[1]),
     ]
     for name, step in steps:

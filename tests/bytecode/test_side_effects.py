@@ -1,4 +1,4 @@
-"""Which portals have side effects: one resource with a portal for each kind of statement."""
+"""Portals with side effects: one resource with a portal for each kind of statement."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ resource Robot {
 """
 QUERIES = """
   portal angle() emit real { return arm.angle(); }
-  portal said() { print("angle " + f2s(arm.angle())); write(count); sleep(0.1); }
+  portal prints() { print("angle " + f2s(arm.angle())); write(count); sleep(0.1); }
   portal waits() { while (count < 3) yield(); }
   portal sum(int n) emit int { int s = 0; for (int i = 0; i < n; i = i + 1) { s = s + log[i]; } return s; }
   portal made() emit Point { Point p = new Point(count); p.x = 7; p.move(1); return p; }
   portal filled() emit real[] { real[] r = new real[2]; r[0] = arm.angle(); return r; }
   portal given(Point p, int[] a) emit int { p.x = 1; p.move(2); a[0] = 3; return p.x; }
   portal chosen(boolean b) emit Point { Point p = null; if (b) p = new Point(1); p.x = 2; return p; }
-  portal looked() emit int { return helper(3); }
+  portal callsHelper() emit int { return helper(3); }
   portal caught() emit int { try { return log[9]; } catch (IndexException e) { return random(3); } }
   portal tidied() emit int { try { return log[9]; } finally { print("tidied"); } }
   portal tidiedItself() { Point p = new Point(1); try { p.tidy(); } finally { p.x = 3; } }
@@ -83,7 +83,7 @@ REST = """
   private Point here() { return at; }
   private void nudge(Point p) { p.x = 6; }
 }
-coordinator Boss { init(string[] arg) { print(findRobot("robot").looked()); } }
+coordinator Boss { init(string[] arg) { print(findRobot("robot").callsHelper()); } }
 """
 
 
@@ -96,14 +96,14 @@ def portals(text: str) -> list[str]:
     return re.findall(r"portal (?:synchronized )?(\w+)", text)
 
 
-def test_a_portal_has_side_effects_if_code_it_may_call_has(program: Program) -> None:
+def test_a_portal_has_the_side_effects_of_the_methods_it_may_call(program: Program) -> None:
     found = effectful_methods(program)
-    acts = {m.name: i in found for i, m in enumerate(program.core.methods) if m.kind == "portal"}
-    assert acts == {**dict.fromkeys(portals(QUERIES), False), **dict.fromkeys(portals(ACTS), True)}
+    has_effects = {m.name: i in found for i, m in enumerate(program.core.methods) if m.kind == "portal"}
+    assert has_effects == {**dict.fromkeys(portals(QUERIES), False), **dict.fromkeys(portals(ACTS), True)}
 
 
 def test_a_portal_call_counts_as_a_side_effect(program: Program) -> None:
-    """No resource can call a portal; a coordinator that does may cause side effects in another agent."""
+    """A coordinator that calls a portal may cause side effects in another agent."""
     init = next(i for i, m in enumerate(program.core.methods) if program.method_name(i) == "Boss.init")
     assert init in effectful_methods(program)
 

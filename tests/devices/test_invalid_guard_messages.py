@@ -1,4 +1,7 @@
-"""Invalid messages of a guard, which loads foreign code, end that guard with a note, not the host."""
+"""A guard that sends invalid messages, or ends, is restarted; the host continues.
+
+A guard loads third-party code, so the host checks each message of a guard.
+"""
 
 from __future__ import annotations
 
@@ -54,10 +57,10 @@ SEEN = Observation(1.0, 1.0)
         (DevicesOpened({"a.x": "a lamp", "b.y": "another"}), "devices that it does not guard: a.x, b.y"),
     ],
 )
-def test_invalid_guard_message_kills_the_guard_not_the_host(message, report):
+def test_host_kills_a_guard_that_sends_an_invalid_message(message, report):
     notes, killed, raised = [], [], []
 
-    async def story():
+    async def scenario():
         asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
         guard = GuardProcess(
             KNOWN, [BINDING], LoopClock(), notes.append, JitterMonitor(JitterLimit(1.0)), lambda: True
@@ -66,16 +69,16 @@ def test_invalid_guard_message_kills_the_guard_not_the_host(message, report):
         guard.connection_made(SimpleNamespace(get_pipe_transport=lambda fd: None))
         guard.pipe_data_received(1, encode(message))
 
-    run_jumping(story())
+    run_jumping(scenario())
     assert [note.partition(" sent ")[2] for note in notes] == [f"invalid bytes: {report}; restarting it"]
     assert (killed, raised) == ([True], [])
 
 
-def test_restart_is_immediate_after_a_long_life_else_delayed(monkeypatch):
-    """During the delay the autopilot receives no heartbeats."""
+def test_guard_restart_is_delayed_only_after_a_short_run(monkeypatch):
+    """Without a guard the autopilot receives no heartbeats, so the restart is not delayed without need."""
     started = []
 
-    async def story():
+    async def scenario():
         clock = LoopClock()
         guard = GuardProcess(
             KNOWN, [BINDING], clock, lambda text: None, JitterMonitor(JitterLimit(1.0)), lambda: True
@@ -92,21 +95,21 @@ def test_restart_is_immediate_after_a_long_life_else_delayed(monkeypatch):
 
         monkeypatch.setattr("lfield.devices.guard_process.start_process", start)
         await guard.open()
-        for lived in (6.0, 0.5, 6.0):
-            await asyncio.sleep(lived)
+        for run_time in (6.0, 0.5, 6.0):
+            await asyncio.sleep(run_time)
             guard.connection_lost(None)
         await asyncio.sleep(1.0)
 
-    run_jumping(story())
-    first, *again = started
-    assert [round(at - first, 3) for at in again] == [6.0, 6.7, 12.5]
+    run_jumping(scenario())
+    first, *restarts = started
+    assert [round(at - first, 3) for at in restarts] == [6.0, 6.7, 12.5]
 
 
 def test_stop_during_a_guard_restart_is_sent_after_open_devices(monkeypatch):
-    """The process exists before its starter resumes: a stop may arrive between."""
+    """The process exists before `start_process` returns, so a stop may arrive between the two."""
     received = []
 
-    async def story():
+    async def scenario():
         guard = GuardProcess(
             KNOWN, [BINDING], LoopClock(), lambda text: None, JitterMonitor(JitterLimit(1.0)), lambda: True
         )
@@ -142,7 +145,7 @@ def test_stop_during_a_guard_restart_is_sent_after_open_devices(monkeypatch):
         guard.connection_lost(None)
         return await closing
 
-    assert run_jumping(story()) == {"a.x": "it is hot"}
+    assert run_jumping(scenario()) == {"a.x": "it is hot"}
     first, second, *rest = (message for message in received[1] if not isinstance(message, Beat))
     assert isinstance(first, OpenDevices)
     assert first.latched == "its guard died and was restarted"

@@ -13,8 +13,8 @@ from lfield.authority.trusted_clock import TrustedClock
 BRAVO = Identity("host", "bravo", NO_RIGHTS, "b1", 1.7e9, 1.9e9, "a" * 64)
 
 
-class Pi:
-    """A clock that started `up` seconds ago in 1970, or at `wall`."""
+class ComputerClock:
+    """The system clock of a computer that started `up` seconds ago; it showed `wall` at the start."""
 
     def __init__(self, wall: float = 0.0, up: float = 5.0) -> None:
         self.wall, self.up = wall, up
@@ -30,7 +30,7 @@ class Pi:
 
 
 def test_correct_clock_is_trusted_without_a_warning() -> None:
-    trusted = TrustedClock(Pi(1.8e9), journal_time=1.79e9)
+    trusted = TrustedClock(ComputerClock(1.8e9), journal_time=1.79e9)
     trusted.on_signature(1.75e9, "the certificate of host bravo")
     trusted.on_peer_time(1.8e9, BRAVO)
     assert trusted.now() == 1.8e9 + 5.0
@@ -38,7 +38,7 @@ def test_correct_clock_is_trusted_without_a_warning() -> None:
 
 
 def test_clock_of_1970_continues_from_the_journal_time() -> None:
-    clock = Pi()
+    clock = ComputerClock()
     trusted = TrustedClock(clock, journal_time=1.8e9)
     clock.wait(100.0)
     assert trusted.now() == 1.8e9 + 100.0
@@ -49,7 +49,7 @@ def test_clock_of_1970_continues_from_the_journal_time() -> None:
 
 
 def test_start_of_a_signed_certificate_is_a_lower_bound() -> None:
-    trusted = TrustedClock(Pi())
+    trusted = TrustedClock(ComputerClock())
     trusted.on_signature(1.75e9, "the certificate of host bravo")
     trusted.on_signature(1.72e9, "the certificate of host alpha")
     assert trusted.now() == 1.75e9
@@ -57,7 +57,7 @@ def test_start_of_a_signed_certificate_is_a_lower_bound() -> None:
 
 
 def test_peer_time_is_trusted_within_its_certificate() -> None:
-    trusted = TrustedClock(Pi())
+    trusted = TrustedClock(ComputerClock())
     trusted.on_peer_time(1.8e9, BRAVO)
     assert trusted.now() == 1.8e9
     assert "since host bravo has sent that time" in trusted.warning()
@@ -70,8 +70,8 @@ def test_peer_time_is_trusted_within_its_certificate() -> None:
     assert trusted.now() == 1.8e9
 
 
-def test_peer_time_is_not_passed_on() -> None:
-    clock = Pi()
+def test_peer_time_is_not_forwarded() -> None:
+    clock = ComputerClock()
     trusted = TrustedClock(clock, journal_time=1.7e9)
     trusted.on_peer_time(1.8e9, BRAVO)
     assert trusted.for_handshake() == 1.7e9
@@ -82,7 +82,7 @@ def test_peer_time_is_not_passed_on() -> None:
 
 
 def test_slow_clock_is_reported_once_per_reason() -> None:
-    clock = Pi()
+    clock = ComputerClock()
     trusted = TrustedClock(clock, journal_time=1.7e9)
     assert "the journal of this host has that time" in trusted.warning()
     clock.wait(3600.0)
@@ -93,7 +93,7 @@ def test_slow_clock_is_reported_once_per_reason() -> None:
 
 
 def test_corrected_clock_is_trusted_again() -> None:
-    clock = Pi()
+    clock = ComputerClock()
     trusted = TrustedClock(clock, journal_time=1.7e9)
     assert trusted.warning()
     clock.wall = 1.8e9
@@ -102,8 +102,8 @@ def test_corrected_clock_is_trusted_again() -> None:
 
 
 @given(st.floats(allow_nan=True), st.floats(0.0, 1e10))
-def test_peer_time_never_decreases_the_trusted_time(word: float, kept: float) -> None:
-    trusted = TrustedClock(Pi(), kept)
+def test_peer_time_never_decreases_the_trusted_time(peer_time: float, journal_time: float) -> None:
+    trusted = TrustedClock(ComputerClock(), journal_time)
     before = trusted.now()
-    trusted.on_peer_time(word, BRAVO)
+    trusted.on_peer_time(peer_time, BRAVO)
     assert before <= trusted.now() < max(before + 1e-6, BRAVO.valid_until)

@@ -1,4 +1,4 @@
-"""Certificates and revocation lists: issued, read back, and checked by OpenSSL on both ends of a link."""
+"""Certificates and revocation lists: issue, reading, and the check by OpenSSL on both ends of a link."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def keys_of(
     return Keys(holder, authority.certificate, issued.certificate, issued.key)
 
 
-def test_issued_keys_name_their_holder(authority: CertificateAuthority) -> None:
+def test_issued_keys_have_the_name_and_rights_of_their_holder(authority: CertificateAuthority) -> None:
     who = verify_keys(keys_of(authority, "alpha"))
     assert (who.kind, who.name, who.may) == ("host", "alpha", frozenset())
     assert (who.valid_from, who.valid_until, who.authority) == (AT, AT + DAY, authority.fingerprint)
@@ -116,7 +116,7 @@ def test_keys_of_another_kind_are_refused(authority: CertificateAuthority) -> No
         read_authority(authority.certificate, pem)
 
 
-def test_authority_certificate_is_no_identity(authority: CertificateAuthority) -> None:
+def test_authority_certificate_has_no_identity(authority: CertificateAuthority) -> None:
     with pytest.raises(KeysError, match="cannot be read"):
         identity_in(authority.certificate, authority.certificate)
 
@@ -125,7 +125,7 @@ def test_private_key_is_not_printed(authority: CertificateAuthority) -> None:
     assert "PRIVATE" not in repr(keys_of(authority))
 
 
-# --- lists ------------------------------------------------------------------------------------------------
+# --- revocation lists --------------------------------------------------------------------------------------
 
 
 def test_revocation_list_is_read_back(authority: CertificateAuthority) -> None:
@@ -149,7 +149,7 @@ def test_foreign_or_changed_revocation_list_is_refused(authority, other_authorit
             revoked_in(wrong, authority.certificate)
 
 
-def test_full_revocation_list_names_the_remedy(authority: CertificateAuthority) -> None:
+def test_error_for_a_full_revocation_list_names_the_remedy(authority: CertificateAuthority) -> None:
     many = frozenset(f"{n:x}" for n in range(1 << 80, (1 << 80) + 3000))
     with pytest.raises(KeysError, match="begin a new authority"):
         authority.revocation_list(RevocationList(9, many, AT))
@@ -171,7 +171,7 @@ def test_random_bytes_are_no_certificate_and_no_list(authority: CertificateAutho
             read(data, authority.certificate)
 
 
-# --- checked by TLS ---------------------------------------------------------------------------------------
+# --- TLS handshakes ----------------------------------------------------------------------------------------
 
 
 def context(keys: Keys, *, server: bool) -> ssl.SSLContext:
@@ -187,11 +187,11 @@ def context(keys: Keys, *, server: bool) -> ssl.SSLContext:
     return made
 
 
-def handshake(caller: Keys, called: Keys) -> tuple[Identity, Identity]:
-    """The identities after a handshake in memory: of the server as seen by the client, and of the client."""
-    one, other = ssl.MemoryBIO(), ssl.MemoryBIO()
-    client = context(caller, server=False).wrap_bio(one, other)
-    server = context(called, server=True).wrap_bio(other, one, server_side=True)
+def handshake(client_keys: Keys, server_keys: Keys) -> tuple[Identity, Identity]:
+    """Do a handshake in memory. Return the identities that the client and the server found for their peer."""
+    to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client = context(client_keys, server=False).wrap_bio(to_client, to_server)
+    server = context(server_keys, server=True).wrap_bio(to_server, to_client, server_side=True)
     done = set()
     for _ in range(4):
         for side in (client, server):
@@ -205,7 +205,7 @@ def handshake(caller: Keys, called: Keys) -> tuple[Identity, Identity]:
 
 
 def test_tls_peers_see_the_identities_of_the_certificates(authority: CertificateAuthority) -> None:
-    """Also for expired certificates: admission checks the validity."""
+    """OpenSSL also accepts expired certificates, because admission checks the validity."""
     alpha, bravo = (keys_of(authority, name, ends=AT + 1) for name in ("alpha", "bravo"))
     assert handshake(alpha, bravo) == (verify_keys(bravo), verify_keys(alpha))
     anna = keys_of(authority, "anna", "person", may=ALL_RIGHTS)
@@ -232,18 +232,18 @@ def test_host_key_cannot_issue_certificates(authority: CertificateAuthority) -> 
         identity_in(forged.certificate, authority.certificate)
 
 
-# --- ephemeral --------------------------------------------------------------------------------------------
+# --- ephemeral keys ----------------------------------------------------------------------------------------
 
 
 def test_ephemeral_keys_share_one_private_authority() -> None:
-    minted = EphemeralCa.for_hosts(["alpha", "bravo"], AT, "anna")
-    assert [(name, verify_keys(keys).name) for name, keys in minted.hosts.items()] == [
+    ephemeral = EphemeralCa.for_hosts(["alpha", "bravo"], AT, "anna")
+    assert [(name, verify_keys(keys).name) for name, keys in ephemeral.hosts.items()] == [
         ("alpha", "alpha"),
         ("bravo", "bravo"),
     ]
-    assert (verify_keys(minted.operator).name, verify_keys(minted.operator).may) == ("anna", ALL_RIGHTS)
-    assert handshake(minted.operator, minted.hosts["alpha"])[0].name == "alpha"
+    assert (verify_keys(ephemeral.operator).name, verify_keys(ephemeral.operator).may) == ("anna", ALL_RIGHTS)
+    assert handshake(ephemeral.operator, ephemeral.hosts["alpha"])[0].name == "alpha"
     other = EphemeralCa.for_hosts(["alpha"], AT)
     with pytest.raises(ssl.SSLError):
-        handshake(minted.hosts["bravo"], other.hosts["alpha"])
-    assert ANONYMOUS not in handshake(minted.hosts["bravo"], minted.hosts["alpha"])
+        handshake(ephemeral.hosts["bravo"], other.hosts["alpha"])
+    assert ANONYMOUS not in handshake(ephemeral.hosts["bravo"], ephemeral.hosts["alpha"])

@@ -1,4 +1,4 @@
-"""A short flight of two copters as a stream, and readers of the exported files."""
+"""A short flight of two copters as a stream of events and telemetry, and readers of exported files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lfield.wire import events
 from lfield.wire.events import Event, StateEvent, TelemetryEvent
 
 START = 1_700_000_000.0
-#: North of the origin, south of the origin.
+#: The origin of the map. Host `desk` in FRAMED is 10 m south of it.
 ORIGIN = Origin(47.0, 8.0, 400.0)
 
 COPTER = DeviceManifest(
@@ -44,17 +44,17 @@ UNFRAMED = MissionInfo("flight", DEVICES)
 
 
 class Team:
-    """Makes events of hosts: numbers per host, times as given."""
+    """A source of events and telemetry of hosts. It numbers the events of each host."""
 
     def __init__(self) -> None:
         self._numbers: dict[str, int] = defaultdict(int)
 
     def event(
-        self, time: float, host: str, what: StateEvent | TelemetryEvent, cause: Cause | None = None
+        self, time: float, host: str, content: StateEvent | TelemetryEvent, cause: Cause | None = None
     ) -> DatedEvent:
         """An event `time` seconds after the start."""
-        self._numbers[host] += not isinstance(what, TelemetryEvent)
-        return DatedEvent(host, 7, Event(self._numbers[host], START + time, time, 0, what), cause)
+        self._numbers[host] += not isinstance(content, TelemetryEvent)
+        return DatedEvent(host, 7, Event(self._numbers[host], START + time, time, 0, content), cause)
 
     def sample(self, time: float, host: str, device: str, **values: Any) -> TelemetrySample:
         """Telemetry `time` seconds after the start."""
@@ -62,15 +62,15 @@ class Team:
 
 
 def flight() -> list[StreamItem]:
-    """Two copters 30 m apart; a coordinator hops, is refused once, and ends."""
+    """Two copters with a distance of 30 m. A coordinator hops once, fails to hop once, and ends."""
     team = Team()
-    left = events.MigrationStarted("pilot", 1, 1, "bravo", "wing", "climb", 600)
+    departure = events.MigrationStarted("pilot", 1, 1, "bravo", "wing", "climb", 600)
     return [
         team.event(0.0, "alpha", events.LinkUp("bravo")),
         team.event(0.0, "alpha", events.AgentStarted("pilot", 1)),
         team.sample(0.1, "alpha", "lead.fc", position=[0.0, 0.0, -10.0], heading=1.5, mode="GUIDED"),
         team.sample(0.1, "bravo", "wing.fc", position=[30.0, 0.0, -10.0], armed=True, satellites=9),
-        team.event(0.2, "alpha", left),
+        team.event(0.2, "alpha", departure),
         team.event(0.21, "bravo", events.MigrationArrived("pilot", 1, 1, "alpha", 600), Cause("alpha", 7, 3)),
         team.event(0.22, "alpha", events.MigrationConfirmed("pilot", 1, 1, "bravo", 0.01)),
         team.event(0.3, "bravo", events.Printed("pilot", "up, ", "out")),
@@ -86,7 +86,7 @@ def flight() -> list[StreamItem]:
 
 
 def mcap_bytes(stream: list[StreamItem], info: MissionInfo = FRAMED) -> bytes:
-    """The stream as a file."""
+    """The stream as an MCAP file."""
     out = io.BytesIO()
     export_mcap(stream, info, out=out)
     return out.getvalue()
@@ -101,7 +101,7 @@ def by_topic(data: bytes) -> dict[str, list[tuple[float, dict[str, Any]]]]:
 
 
 def readable(data: bytes) -> int:
-    """The number of messages that a reader without indexes gets from the beginning of a file."""
+    """The number of messages that a reader without an index reads from the start of a file."""
     count = 0
     try:
         for _ in NonSeekingReader(io.BytesIO(data)).iter_messages(log_time_order=False):

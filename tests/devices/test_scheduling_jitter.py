@@ -1,4 +1,4 @@
-"""Scheduling delays: the limit, the figures and the warnings, on given times."""
+"""Scheduling delays: the limit, the figures and the warnings for given times of heartbeats."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SILENCE = 0.2
 
 @pytest.mark.parametrize("prompt", [False, True], ids=["normal priority", "real-time priority"])
 @pytest.mark.parametrize(
-    ("silence", "late", "keeps"),
+    ("silence", "late", "accepted"),
     [
         (0.1, 0.0, True),
         (0.1, 0.02, True),  # one delay of a healthy small computer
@@ -34,8 +34,8 @@ SILENCE = 0.2
         (10.0, 9.96, False),
     ],
 )
-def test_maximum_delay_by_silence_and_priority(silence, late, keeps, prompt):
-    assert (late <= JitterLimit(silence, prompt).max_jitter) is keeps
+def test_maximum_delay_by_silence_and_priority(silence, late, accepted, prompt):
+    assert (late <= JitterLimit(silence, prompt).max_jitter) is accepted
 
 
 @given(st.floats(0.0, 20.0), st.booleans())
@@ -70,41 +70,41 @@ def test_real_time_priority_shortens_the_silence_and_the_remedy():
     )
 
 
-def test_report_names_no_silence_beyond_the_maximum():
+def test_report_suggests_no_silence_above_the_maximum():
     assert JitterLimit(10.0).report(6.0).endswith("up to 6.00 s late, and no silence is long enough")
     assert JitterLimit(10.0, prompt=True).remedy(7.0) == "reduce the load of this computer"
 
 
-# --- while it runs ------------------------------------------------------------------------------------
+# --- monitor ------------------------------------------------------------------------------------
 
 
 class Run:
-    """Heartbeats on a given clock, each with a given delay."""
+    """Heartbeats with given delays, on a clock of the test."""
 
     def __init__(self, silence=SILENCE):
         self.now = 1000.0
-        self.lateness = JitterMonitor(JitterLimit(silence))
+        self.monitor = JitterMonitor(JitterLimit(silence))
 
     def beat(self, late=0.0):
         due = self.now + HEARTBEAT_INTERVAL
         self.now = due + late
-        return self.lateness.sample(due, self.now)
+        return self.monitor.sample(due, self.now)
 
     def beats(self, seconds):
-        return [word for _ in range(round(seconds / HEARTBEAT_INTERVAL)) if (word := self.beat())]
+        return [warning for _ in range(round(seconds / HEARTBEAT_INTERVAL)) if (warning := self.beat())]
 
 
-def test_punctual_heartbeats_give_no_warning():
+def test_heartbeats_on_time_give_no_warning():
     run = Run()
     assert run.beats(100.0) == []
-    assert run.lateness.longest < 1e-6
-    assert run.lateness.last_minute(run.now) < 1e-6
+    assert run.monitor.longest < 1e-6
+    assert run.monitor.last_minute(run.now) < 1e-6
 
 
 def test_early_heartbeat_has_no_delay():
-    lateness = JitterMonitor(JitterLimit(SILENCE))
-    assert lateness.sample(5.0, 4.9) is None
-    assert lateness.longest == 0.0
+    monitor = JitterMonitor(JitterLimit(SILENCE))
+    assert monitor.sample(5.0, 4.9) is None
+    assert monitor.longest == 0.0
 
 
 def test_delay_near_the_limit_gives_a_warning():
@@ -116,7 +116,7 @@ def test_delay_near_the_limit_gives_a_warning():
     )
 
 
-def test_warning_is_repeated_per_minute_or_when_worse():
+def test_warning_is_repeated_each_minute_or_for_a_longer_delay():
     run = Run()
     assert run.beat(0.08)
     assert [run.beat(0.08) for _ in range(100)] == [None] * 100
@@ -127,17 +127,17 @@ def test_warning_is_repeated_per_minute_or_when_worse():
     assert "late by 80 ms (longest so far 0.14 s)" in run.beat(0.08)
 
 
-def test_last_minute_figure_expires_and_the_longest_stays():
+def test_figure_of_the_last_minute_expires_and_the_longest_is_kept():
     run = Run()
     run.beat(0.3)
     run.beats(30.0)
     run.beat(0.1)
-    assert run.lateness.last_minute(run.now) == pytest.approx(0.3)
+    assert run.monitor.last_minute(run.now) == pytest.approx(0.3)
     run.beats(31.0)
-    assert run.lateness.last_minute(run.now) == pytest.approx(0.1)
+    assert run.monitor.last_minute(run.now) == pytest.approx(0.1)
     run.beats(31.0)
-    assert run.lateness.last_minute(run.now) == pytest.approx(0.0)
-    assert run.lateness.longest == pytest.approx(0.3)
+    assert run.monitor.last_minute(run.now) == pytest.approx(0.0)
+    assert run.monitor.longest == pytest.approx(0.3)
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 1.0)), min_size=1, max_size=60))
@@ -147,45 +147,45 @@ def test_figures_match_all_samples_and_warnings_are_limited(steps):
         due = run.now + pause
         run.now = due + late
         kept.append((run.now, run.now - due))
-        if run.lateness.sample(due, run.now):
+        if run.monitor.sample(due, run.now):
             warned.append(kept[-1])
         recent = [length for when, length in kept if when >= run.now - WINDOW]
-        assert run.lateness.last_minute(run.now) == max(recent)
-        assert run.lateness.longest == max(length for _, length in kept)
-    assert all(length > run.lateness.limit.max_jitter for _, length in warned)
+        assert run.monitor.last_minute(run.now) == max(recent)
+        assert run.monitor.longest == max(length for _, length in kept)
+    assert all(length > run.monitor.limit.max_jitter for _, length in warned)
     for (when, length), (later, longer) in pairwise(warned):
         assert later - when >= WINDOW or longer >= 1.5 * length
-    assert warned or all(length <= run.lateness.limit.max_jitter for _, length in kept)
+    assert warned or all(length <= run.monitor.limit.max_jitter for _, length in kept)
 
 
-def test_silence_is_explained_by_the_computer_s_delay():
+def test_silence_is_explained_by_the_delay_of_the_computer():
     run = Run()
     run.beat(0.31)
     assert (
-        run.lateness.explain_silence(run.now, run.now + HEARTBEAT_INTERVAL)
+        run.monitor.explain_silence(run.now, run.now + HEARTBEAT_INTERVAL)
         == "this computer was late by 0.31 s"
     )
     run.beats(30.0)
     assert (
-        run.lateness.explain_silence(run.now, run.now + HEARTBEAT_INTERVAL)
+        run.monitor.explain_silence(run.now, run.now + HEARTBEAT_INTERVAL)
         == "this computer was late to wake its guard"
     )
 
 
 def test_silence_reported_before_the_late_heartbeat_is_explained():
-    pulse = HeartbeatJitter(JitterMonitor(JitterLimit(SILENCE)))
-    assert [pulse.on_heartbeat(when) for when in (5.0, 5.05, 5.1)] == [None, None, None]
+    jitter = HeartbeatJitter(JitterMonitor(JitterLimit(SILENCE)))
+    assert [jitter.on_heartbeat(when) for when in (5.0, 5.05, 5.1)] == [None, None, None]
     silent = "the host was silent for over 200 ms"
-    assert pulse.explain(silent, 5.65) == f"{silent}, since this computer was late by 0.50 s"
-    assert pulse.explain("the setpoint has expired (time-to-live 1 s)", 5.65).endswith("(time-to-live 1 s)")
-    assert "late by 0.50 s" in pulse.on_heartbeat(5.65)
-    assert pulse.explain(silent, 5.66) == f"{silent}, since this computer was late by 0.50 s"
+    assert jitter.explain(silent, 5.65) == f"{silent}, since this computer was late by 0.50 s"
+    assert jitter.explain("the setpoint has expired (time-to-live 1 s)", 5.65).endswith("(time-to-live 1 s)")
+    assert "late by 0.50 s" in jitter.on_heartbeat(5.65)
+    assert jitter.explain(silent, 5.66) == f"{silent}, since this computer was late by 0.50 s"
 
 
 def test_paused_heartbeats_are_not_late():
-    pulse = HeartbeatJitter(lateness := JitterMonitor(JitterLimit(SILENCE)))
-    pulse.on_heartbeat(5.0)
-    pulse.pause()
-    assert pulse.on_heartbeat(9.0) is None
-    assert lateness.longest == 0.0
-    assert "late by 0.45 s" in pulse.on_heartbeat(9.5)
+    jitter = HeartbeatJitter(monitor := JitterMonitor(JitterLimit(SILENCE)))
+    jitter.on_heartbeat(5.0)
+    jitter.pause()
+    assert jitter.on_heartbeat(9.0) is None
+    assert monitor.longest == 0.0
+    assert "late by 0.45 s" in jitter.on_heartbeat(9.5)

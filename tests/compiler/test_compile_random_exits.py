@@ -1,6 +1,6 @@
-"""Random nests of try, catch, finally, together, within, reserve, and loops end as in a small Python model.
+"""Random nested try, catch, finally, together, within, reserve, and loops end as in a small Python model.
 
-`tick()` is true every third time, so that some exits are taken, also in the second round of a loop.
+Every third call of `tick()` returns true, so the program executes some exits, also in later rounds of a loop.
 """
 
 from __future__ import annotations
@@ -13,36 +13,36 @@ from hypothesis import strategies as st
 
 from lfield.testing.golden import run_text
 
-#: How a statement ends: "on" (normally), "break", "continue", "return 3", or "throw" and a class.
+#: The end of a statement: "on" (normal), "break", "continue", "return 3", or "throw" and a class.
 Exit = str
 
 
 @dataclass
 class Execution:
-    """The output of a run, and the number of its ticks."""
+    """The output of a run, and the number of calls of `tick()`."""
 
     trace: list[str]
     ticks: int = 0
 
     def tick(self) -> bool:
-        """True every third time."""
+        """Return true at every third call."""
         self.ticks += 1
         return self.ticks % 3 == 0
 
 
 @dataclass(frozen=True)
 class Step:
-    """A statement as L text, and its model."""
+    """A statement as L text and as a Python function."""
 
     text: str
     run: Callable[[Execution], Exit]
 
 
-def _leaving(text: str, way: Exit) -> Step:
-    return Step(text, lambda execution: way)
+def _exit_step(text: str, ending: Exit) -> Step:
+    return Step(text, lambda execution: ending)
 
 
-def _said(number: int) -> Step:
+def _say(number: int) -> Step:
     def run(execution: Execution) -> Exit:
         execution.trace.append(str(number))
         return "on"
@@ -53,8 +53,8 @@ def _said(number: int) -> Step:
 def _block(steps: list[Step]) -> Step:
     def run(execution: Execution) -> Exit:
         for step in steps:
-            if (way := step.run(execution)) != "on":
-                return way
+            if (ending := step.run(execution)) != "on":
+                return ending
         return "on"
 
     return Step(" ".join(step.text for step in steps), run)
@@ -69,11 +69,11 @@ def _maybe(body: Step) -> Step:
 def _loop(name: str, body: Step) -> Step:
     def run(execution: Execution) -> Exit:
         for _ in range(3):
-            way = body.run(execution)
-            if way == "break":
+            ending = body.run(execution)
+            if ending == "break":
                 break
-            if way not in ("on", "continue"):
-                return way
+            if ending not in ("on", "continue"):
+                return ending
         return "on"
 
     return Step(f"for (int {name} = 0; {name} < 3; {name} = {name} + 1) {{ {body.text} }}", run)
@@ -81,11 +81,15 @@ def _loop(name: str, body: Step) -> Step:
 
 def _try(name: str, body: Step, caught: str, catch: Step | None, last: Step | None) -> Step:
     def run(execution: Execution) -> Exit:
-        way = body.run(execution)
-        if catch is not None and way.startswith("throw") and (caught == "Exception" or way.endswith(caught)):
-            way = catch.run(execution)
+        ending = body.run(execution)
+        if (
+            catch is not None
+            and ending.startswith("throw")
+            and (caught == "Exception" or ending.endswith(caught))
+        ):
+            ending = catch.run(execution)
         end = last.run(execution) if last is not None else "on"
-        return way if end == "on" else end
+        return ending if end == "on" else end
 
     text = f"try {{ {body.text} }}"
     if catch is not None:
@@ -96,18 +100,20 @@ def _try(name: str, body: Step, caught: str, catch: Step | None, last: Step | No
 
 
 def _parallel(level: int, body: Step) -> Step:
-    """A call that is begun beside the body; it has ended whichever way the body is left."""
+    """A call that starts in parallel to the body. The call has ended after each kind of exit of the body."""
 
     def run(execution: Execution) -> Exit:
-        way = body.run(execution)
+        ending = body.run(execution)
         execution.trace.append("0")
-        return way
+        return ending
 
-    return Step(f"try together {{ arm.work({level}); {body.text} }} finally {{ told({level}); }}", run)
+    return Step(
+        f"try together {{ arm.work({level}); {body.text} }} finally {{ printWorking({level}); }}", run
+    )
 
 
 def _reserved(body: Step) -> Callable[[Execution], Exit]:
-    """The body of a reserve, which first prints that no call is running."""
+    """The body of a reserve. The program first prints that no call is running."""
 
     def run(execution: Execution) -> Exit:
         execution.trace.append("0")
@@ -125,25 +131,25 @@ def steps(
 ) -> Step:
     """A statement of at most `depth` levels, in `loops` loops, `last` of them around the innermost finally.
 
-    `parallel`: it is in a together.
+    `parallel`: the statement is in a together.
     """
-    kinds = ["said", "throw", "own", *(["return"] if last is None else [])]
+    kinds = ["say", "throw", "own", *(["return"] if last is None else [])]
     kinds += ["break", "continue"] if loops > (last or 0) else []
     deep = ["try", "try", "try", "loop", "maybe", "block", "within", "together"] if depth else []
     deep += ["reserve"] if depth and not parallel else []
     kind = draw(st.sampled_from(deep or kinds) if draw(st.booleans()) else st.sampled_from(kinds))
-    if kind == "said":
-        return _said(draw(st.integers(0, 99)))
+    if kind == "say":
+        return _say(draw(st.integers(0, 99)))
     if kind == "throw":
         name = draw(st.sampled_from(_CLASSES))
-        return _maybe(_leaving(f'throw new {name}("x");', f"throw {name}"))
+        return _maybe(_exit_step(f'throw new {name}("x");', f"throw {name}"))
     if kind == "own":
-        return _maybe(_leaving("fail();", "throw IndexException"))
+        return _maybe(_exit_step("fail();", "throw IndexException"))
     if kind == "return":
         number = draw(st.integers(0, 9))
-        return _maybe(_leaving(f"return {number};", f"return {number}"))
+        return _maybe(_exit_step(f"return {number};", f"return {number}"))
     if kind in ("break", "continue"):
-        return _maybe(_leaving(f"{kind};", kind))
+        return _maybe(_exit_step(f"{kind};", kind))
     if kind == "loop":
         return _loop("ijklmn"[loops], draw(steps(depth - 1, loops + 1, last, parallel)))
     parallel = parallel or kind == "together"
@@ -155,7 +161,7 @@ def steps(
     if kind == "within":
         return Step(f"within (9999) {{ {_block(inner).text} }}", _block(inner).run)
     if kind == "reserve":
-        return Step(f"reserve (arm) {{ told(0); {_block(inner).text} }}", _reserved(_block(inner)))
+        return Step(f"reserve (arm) {{ printWorking(0); {_block(inner).text} }}", _reserved(_block(inner)))
     if kind == "together":
         return _parallel(depth, _block(inner))
     which = draw(st.sampled_from(["catch", "finally", "both"]))
@@ -182,7 +188,7 @@ coordinator R {{
     }}
     private int work(int given) {{ {body} return -1; }}
     private void say(int n) {{ print(n); }}
-    private void told(int n) {{ print(arm.working(n)); }}
+    private void printWorking(int n) {{ print(arm.working(n)); }}
     private void fail() {{ int[] a = new int[1]; a[2] = 0; }}
     private boolean tick() {{ ticks = ticks + 1; return ticks % 3 == 0; }}
 }}
@@ -191,11 +197,11 @@ coordinator R {{
 
 @given(steps(5))
 @settings(deadline=None, max_examples=60)
-def test_random_nests_end_as_in_the_model(step: Step) -> None:
+def test_random_nested_statements_end_as_in_the_model(step: Step) -> None:
     execution = Execution([])
     for _ in range(4):
-        way = step.run(execution)
-        execution.trace.append("return -1" if way == "on" else way)
-    desk, _ = run_text(_PROGRAM.format(body=step.text))
-    assert desk.output == execution.trace
-    assert [holder for _, holder in desk.reserved.values()] in ([], [""])
+        ending = step.run(execution)
+        execution.trace.append("return -1" if ending == "on" else ending)
+    world, _ = run_text(_PROGRAM.format(body=step.text))
+    assert world.output == execution.trace
+    assert [holder for _, holder in world.reserved.values()] in ([], [""])
