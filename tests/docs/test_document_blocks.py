@@ -31,6 +31,8 @@ BLOCKS = blocks_by_page()
 REAL = sorted((ROOT / "sim-adapters/real").rglob("*.devices.yaml"))
 #: The maximum duration of a command line, in seconds.
 TIMEOUT = 60.0
+#: The characters at the end of an output that a failure shows.
+SHOWN_OUTPUT = 3000
 #: Subcommands that start no process; the tests call them in their own process.
 IN_PROCESS = frozenset({"build", "capabilities", "check", "inspect", "keys", "plan", "query", "sign"})
 _RUNS: dict[str, tuple[int | str, str]] = {}
@@ -135,8 +137,11 @@ def differences(page: str, folder: Path) -> list[str]:
                 output += printed
                 if status != expected_status(line):
                     problems.append(f"{block.place}: {line}: status {status}: {printed}")
-        if is_output(block) and block.text.splitlines()[0] not in skipped:
-            problems += [f"{block.place}: {each}" for each in missing_lines(block.text, output)]
+        if not is_output(block) or block.text.splitlines()[0] in skipped:
+            continue
+        if missing := missing_lines(block.text, output):
+            problems += [f"{block.place}: {each}" for each in missing]
+            problems.append(f"{block.place}: the end of the output:\n{output[-SHOWN_OUTPUT:]}")
     return problems
 
 
