@@ -179,15 +179,17 @@ class FleetCleanup:
     the fleets of all tests would fill gigabytes, and each garbage collection would visit them.
     """
 
+    FOLDERS = ("tests/simulate/", "tests/testing/")
+
     def __init__(self) -> None:
         self._created: list[Any] = []
         self._is_recording = self._is_installed = False
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
-        """Close the fleets after the test; those of fixtures may live longer."""
+        """Close the fleets after the test. Tests of other folders share fleets."""
         self._install()
-        self._is_recording = True
+        self._is_recording = item.nodeid.startswith(FleetCleanup.FOLDERS)
         try:
             return (yield)
         finally:
