@@ -36,9 +36,9 @@ async def serve_until_stopped(
 ) -> None:
     """Prints `ready ENDPOINT WORDS` and waits for SIGTERM, SIGINT or, if requested, the end of stdin.
 
-    `devices` are ids with the names of their bindings ('' without one). By the same ids `facts` are true
-    values, and `places` positions: metres north, east and up of a common point of all simulated devices. On a
-    simulated computer nothing is printed, and the simulation ends it.
+    `devices` are ids with the names of their bindings ('' without one). `facts` and `places` have the
+    same ids: true values, and positions in metres north, east and up of a common point of all simulated
+    devices. On a simulated computer nothing is printed, and the simulation stops the device.
     """
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     if isinstance(loop, SimulatedLoop):

@@ -1,4 +1,4 @@
-"""Configures the process data of a drive: our mapping if it permits, else its own.
+"""Configures the process data of a drive: with our mapping if the drive permits it, else with its own.
 
 A drive may have COB-ids with bit 30 (no remote frames), fixed mappings, no event timer, or fixed transmission
 types. A setting that cannot be written is read and used if it fits; otherwise the drive's answer is
