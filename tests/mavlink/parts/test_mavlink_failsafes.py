@@ -100,7 +100,7 @@ async def test_failsafe_in_the_same_hold_mode_is_detected(b, fc, /, kept):
     await asyncio.sleep(9.0)
     b.driver.resume()
     await asyncio.sleep(1.2)
-    with pytest.raises(DeviceError, match=r"its failsafe.* has it"):
+    with pytest.raises(DeviceError, match=r"its failsafe.* controls the vehicle"):
         await fc.execute("goTo", [0.0, 0.0, -6.0])
     await fc.execute("release", [])
     await asyncio.sleep(2.0)
