@@ -95,6 +95,37 @@ async def run_process(
     return process.returncode or 0, output, errors
 
 
+def read_until_end(descriptor: int, on_data: Callable[[bytes], None]) -> None:
+    """Pass the bytes of a descriptor to `on_data` in the running loop, and b"" at its end.
+
+    A pipe, a terminal, a regular file and /dev/null are all accepted; the descriptor becomes non-blocking.
+    """
+    loop = asyncio.get_running_loop()
+
+    def read() -> bool:
+        try:
+            data = os.read(descriptor, _READ_SIZE)
+        except BlockingIOError:
+            return True
+        except OSError:
+            data = b""
+        if not data:
+            loop.remove_reader(descriptor)
+        on_data(data)
+        return bool(data)
+
+    def read_file() -> None:
+        if read():
+            loop.call_soon(read_file)
+
+    os.set_blocking(descriptor, False)
+    try:
+        loop.add_reader(descriptor, read)
+    except PermissionError:
+        # epoll refuses a regular file and /dev/null. A read of them returns at once.
+        loop.call_soon(read_file)
+
+
 def kill(process: asyncio.SubprocessTransport) -> None:
     """Kill a process that has not ended.
 
@@ -184,6 +215,9 @@ class SimulatedLoop(Protocol):
     async def serve(self, fake: ServedFake) -> None:
         """Run a simulated device of this simulation until it is stopped."""
 
+
+#: Bytes of one read of `read_until_end`.
+_READ_SIZE = 8192
 
 #: File descriptors needed to start a process, with a margin.
 _DESCRIPTORS_PER_PROCESS = 12

@@ -34,7 +34,7 @@ ROUNDING = 1.0 + 1e-9
 class CanAxis(Device):
     """One axis: the instructions of axis.yaml for every protocol."""
 
-    #: Far beyond what a frame can carry.
+    #: The largest magnitude of a number in an instruction; no frame can carry more.
     largest = 1e12
 
     def __init__(
@@ -150,7 +150,7 @@ class CanAxis(Device):
         self.note(log_messages.SET_UP_AGAIN.line())
 
     async def _check_id_conflict(self) -> None:
-        """Logs and stops two devices with one id, since both follow every command."""
+        """Logs an id conflict and stops the axis, since two devices with one id both follow every command."""
         if self.protocol.needs_setup:
             return  # the set-up reports it
         conflict, reported = self.protocol.conflict, self._reported_conflict

@@ -16,15 +16,17 @@ ID_UNIQUE = LogMessage("can-id-unique", "motion permitted again: the id is uniqu
 
 SETUP_FAILED = LogMessage("can-setup-failed", "set-up failed: {reason}; retrying", "warning")
 SET_UP_AGAIN = LogMessage("can-set-up-again", "restarted and set up again; not enabled", "warning")
-LEAVING_BOUNDS = LogMessage("can-leaving-bounds", "stopped: it was leaving its bounds", "error")
+LEAVING_BOUNDS = LogMessage("can-leaving-bounds", "stopped: the axis moved out of its bounds", "error")
 EMERGENCY = LogMessage("can-emergency", "emergency message: {reason}", "error")
 TORQUE_GAP = LogMessage(
     "can-torque-gap", "torque off for a moment: the drive cannot be enabled from a quick stop", "warning"
 )
 LIMIT_BY_DRIVER = LogMessage("can-limit-by-driver", "limit enforced by this driver only: {reason}")
-COASTS = LogMessage("can-coasts", "coasts after a fault: 0x605E is 0", "warning")
+COASTS = LogMessage("can-coasts", "coasts after a fault: object 0x605E (fault reaction) is 0", "warning")
 QUICK_STOP_UNKNOWN = LogMessage(
-    "can-quick-stop-unknown", "quick stop unknown: {reason}; check in its manual whether it brakes", "warning"
+    "can-quick-stop-unknown",
+    "effect of a quick stop unknown: {reason}; check in the manual of the drive whether a quick stop brakes",
+    "warning",
 )
 HEARTBEAT_IGNORED = LogMessage(
     "can-heartbeat-ignored", "heartbeat of this computer not monitored: {reason}", "warning"
@@ -65,7 +67,8 @@ NOTHING_RECEIVED = LogMessage("can-nothing-received", "no message received: waiv
 NODE_ID_GIVEN = LogMessage("can-node-id-given", "node id {node} given to the unique id {unique_id}")
 OTHER_ALLOCATOR = LogMessage(
     "can-other-allocator",
-    "no more node ids given: node {node} gives them; remove 'unique_id' from the bindings, or that allocator",
+    "no more node ids given: node {node} is an allocator too; remove 'unique_id' from the "
+    "bindings, or remove that node",
     "warning",
 )
 NODE_RESTARTED = LogMessage("can-node-restarted", "node {node} restarted", "warning")

@@ -31,7 +31,7 @@ WATCHDOG_LONGEST = 127
 _SLAVE, _TIME_BASED = 1 << 1, 1 << 2
 _LONGEST_PROFILE = 32737
 
-#: Parts per stall torque of the torque limit of a Feetech servo.
+#: The value of a Feetech servo's torque limit register that is its stall torque.
 _WHOLE_TORQUE = 1000
 
 
@@ -268,7 +268,7 @@ class Servo:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether the servo keeps within its position limits: in position mode, also under another name."""
+        """Whether the position limits of the servo apply: in position mode, also under another name."""
         return self.model.modes.get(self.mode) == self.model.modes.get("position")
 
     # -- motion -----------------------------------------------------------------------------------------

@@ -52,10 +52,11 @@ AUTOPILOT_TEXT = LogMessage(
 )
 NO_ORIGIN = LogMessage(
     "mavlink-no-origin",
-    "frame origin unknown: no position in the team's frame yet; wait for its position estimate",
+    "frame origin unknown: no position in the team's frame before the vehicle has a position estimate",
 )
 NO_HOME = LogMessage(
-    "mavlink-no-home", "home position unknown: positions are relative to the place where it was switched on"
+    "mavlink-no-home",
+    "home position unknown: positions are relative to the place where the vehicle was switched on",
 )
 TELEMETRY_MISSING = LogMessage("mavlink-telemetry-missing", "telemetry not reported: {names}", "warning")
 NOT_ARMABLE = LogMessage("mavlink-not-armable", "arming delayed: {reason}")
@@ -82,7 +83,7 @@ FOREIGN_CONTROL = LogMessage(
     "mavlink-foreign-control", "under foreign control: {reason}; release() takes control again", "warning"
 )
 LEFT_ALONE = LogMessage(
-    "mavlink-left-alone", "not commanded: it is in {mode}, controlled by {holder}", "warning"
+    "mavlink-left-alone", "not commanded: the vehicle is in {mode}, controlled by {holder}", "warning"
 )
 FALLING = LogMessage("mavlink-falling", "falling: {reason}", "error")
 CRASHED = LogMessage("mavlink-crashed", "crashed: {reason}", "error")

@@ -105,14 +105,17 @@ _LIMIT = "the speed limit of the binding"
 
 _STATION = Need(
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
-    "its failsafe depends on this station alone: another one, at 255, does not prevent it. That one still "
-    "commands modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) are ignored, and "
-    "the vehicle cannot be armed without heartbeats of this station ('GCS failsafe on'). "
+    "its failsafe depends on this station alone: heartbeats of another one (id 255) do not prevent it. "
+    "The other one can command modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) "
+    "are ignored, and the vehicle cannot be armed without heartbeats of this station ('GCS failsafe on'). "
     "'lfield setup --apply FILE' reverts that",
     station_of,
 )
 _NO_OTHERS = Need(
-    ("MAV_GCS_SYSID_HI",), "no other station counts as this one, by a range of ids", 0, needed=False
+    ("MAV_GCS_SYSID_HI",),
+    "heartbeats of other stations in a range of ids do not prevent its failsafe",
+    0,
+    needed=False,
 )
 _SETPOINT = Need(("GUID_TIMEOUT",), "the time-out of a velocity", clock="setpoint", least=0.1)
 

@@ -149,9 +149,7 @@ def _check_cancels(top: YamlFields, instructions: Mapping[str, Instruction]) -> 
                 why = f"'{entry.key}' cannot be cancelled: only a blocking instruction that acts can"
                 top.report("Y113", why, fields.value_span("cancel"))
         elif not instruction.cancel:
-            top.report(
-                "Y110", f"'{entry.key}' does not declare the effect of a cancel", entry.key_span, _CANCEL
-            )
+            top.report("Y110", f"'{entry.key}' does not declare what a cancel does", entry.key_span, _CANCEL)
         elif why := _cannot_end(instruction, instructions):
             top.report("Y113", why, fields.value_span("cancel"), _CANCEL)
 

@@ -42,7 +42,8 @@ HOST_INTERRUPTED = _message(
     "service-host-interrupted", "mission interrupted: {reason}; 'lfield start' continues it", "warning"
 )
 MISSED_END = _message(
-    "service-missed-end", "the mission has ended on {host} while the host here did not run; it is stopped"
+    "service-missed-end",
+    "mission ended on {host} while the host of this robot was not running; stopping the host of this robot",
 )
 COMMAND = _message("service-command", "{action} requested by {operator}")
 COMMAND_REFUSED = _message("service-command-refused", "{action} of {operator} refused: {reason}", "warning")

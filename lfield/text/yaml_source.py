@@ -37,7 +37,7 @@ YAML_CODES = {
     "Y113": "a value that is not allowed here",
     "Y114": "no coordinator can be recovered after the loss of a host: too few members",
     "Y115": "a device can outlive the lease of its coordinator, or the members are not valid",
-    "Y116": "an option that neither the resource type nor the agent's id decides is not stated",
+    "Y116": "a missing option that follows neither from the resource type nor from the id of the agent",
 }
 
 MAX_BYTES = 1 << 20

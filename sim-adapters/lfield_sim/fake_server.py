@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Mapping
 
 from lfield.driver.sims import control_folder
-from lfield.event_loop import ServedFake, SimulatedLoop, raise_timer_priority
+from lfield.event_loop import ServedFake, SimulatedLoop, raise_timer_priority, read_until_end
 from lfield_sim.faults import Faults
 from lfield_sim.state_log import Facts
 
@@ -36,9 +36,9 @@ async def serve_until_stopped(
 ) -> None:
     """Prints `ready ENDPOINT WORDS` and waits for SIGTERM, SIGINT or, if requested, the end of stdin.
 
-    `devices` are ids with the names of their bindings ('' without one). By the same ids `facts` are true
-    values, and `places` positions: metres north, east and up of a common point of all simulated devices. On a
-    simulated computer nothing is printed, and the simulation ends it.
+    `devices` are ids with the names of their bindings ('' without one). `facts` and `places` have the
+    same ids: true values, and positions in metres north, east and up of a common point of all simulated
+    devices. On a simulated computer nothing is printed, and the simulation stops the device.
     """
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     if isinstance(loop, SimulatedLoop):
@@ -47,7 +47,7 @@ async def serve_until_stopped(
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     if until_stdin_closes:
-        await loop.connect_read_pipe(lambda: _UntilEnd(stop), sys.stdin)
+        _stop_at_end_of_stdin(stop)
     identity = {"kind": kind, "endpoint": endpoint, "devices": dict(devices)}
     path = control_folder() / f"{kind}-{os.getpid()}.sock"
     path.unlink(missing_ok=True)
@@ -94,14 +94,12 @@ class _FaultConnection(asyncio.Protocol):
         return {"faults": self._faults.described()}
 
 
-class _UntilEnd(asyncio.Protocol):
-    """Sets an event when its pipe closes."""
+def _stop_at_end_of_stdin(stop: asyncio.Event) -> None:
+    def on_data(data: bytes) -> None:
+        if not data:
+            stop.set()
 
-    def __init__(self, ended: asyncio.Event) -> None:
-        self._ended = ended
-
-    def eof_received(self) -> None:
-        self._ended.set()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._ended.set()
+    if sys.stdin is None:
+        stop.set()
+    else:
+        read_until_end(sys.stdin.fileno(), on_data)

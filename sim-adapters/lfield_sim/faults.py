@@ -21,7 +21,7 @@ FaultValue = bool | float | str
 class Fault:
     """One fault. The type of `default` is the type of its values; it means "healthy".
 
-    A fault of the `whole` concerns the link or bus: a device then stands for its bus.
+    A fault with `whole` applies to the whole link or bus; the name of a device then selects its bus.
     """
 
     name: str

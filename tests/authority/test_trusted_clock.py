@@ -43,8 +43,8 @@ def test_clock_of_1970_continues_from_the_journal_time() -> None:
     clock.wait(100.0)
     assert trusted.now() == 1.8e9 + 100.0
     assert trusted.warning() == (
-        "system clock behind: it shows 1970-01-01 00:01 UTC, and it is at least 2027-01-15 08:01 UTC, since "
-        "the journal of this host has that time; set the clock"
+        "system clock behind: it shows 1970-01-01 00:01 UTC, but the time is at least 2027-01-15 08:01 UTC, "
+        "since the journal of this host has that time; set the clock"
     )
 
 

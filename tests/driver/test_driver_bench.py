@@ -103,7 +103,7 @@ async def test_devices_may_stay_closed_at_the_start(bench, device, /):
 async def test_notes_of_a_driver_are_kept(bench, device, /, fake):
     fake.cut = True
     await bench.until(lambda: bench.notes != [])
-    assert bench.notes == ["lost: tcp:memory:1: no answer"]
+    assert bench.notes == ["link lost: tcp:memory:1: no answer"]
 
 
 def test_until_timeout_reports_the_observed_values(make_bench):

@@ -119,7 +119,7 @@ def test_manifest_with_list_options_waivers_channels_and_rates():
         ),
         (b"  push:", b"  release:", "'release' is already an instruction of this device type"),
         (b"effect: query, blocking: true", b"effect: query", "'ask' is a query that does not ask the device"),
-        (b", cancel: stop", b"", "m.yaml:10:3: error[Y110]: 'turn' does not declare the effect of a cancel"),
+        (b", cancel: stop", b"", "m.yaml:10:3: error[Y110]: 'turn' does not declare what a cancel does"),
         (b"cancel: stop", b"cancel: halt", "m.yaml:10:96: error[Y113]: there is no other instruction 'halt'"),
         (b"cancel: stop", b"cancel: turn", "there is no other instruction 'turn'"),
         (b"cancel: stop", b"cancel: push", "'push' has parameters"),

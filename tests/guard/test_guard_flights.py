@@ -109,7 +109,7 @@ async def test_guard_restart_lands_the_program_s_flight_in_any_mode(flight, /, d
     await flight.until_note(f"in safe state 'land': {AGAIN}")
     await mode_is(flight, "LAND")
     await flight.reads("armed", lambda now: now is False)
-    assert not any("not commanded: it is in" in note for note in flight.notes)
+    assert not any("not commanded: the vehicle is in" in note for note in flight.notes)
 
 
 @pytest.mark.parametrize("times", [1, 2])
@@ -133,7 +133,7 @@ async def test_guard_restart_leaves_a_pilot_in_control(flight, /, desk, times):
     await flight.until(lambda: (flight.moving or "").startswith(by_a_pilot_still), 20.0, "who flies it")
     await asyncio.sleep(3.0)
     assert flight.query("mode") == "LOITER"
-    assert any("not commanded: it is in" in note for note in flight.notes)
+    assert any("not commanded: the vehicle is in" in note for note in flight.notes)
 
 
 @scenario("fly")

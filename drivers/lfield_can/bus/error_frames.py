@@ -36,8 +36,8 @@ CONTROLLER: Mapping[int, tuple[str, str]] = {
     0x02: ("send buffer full", UNKNOWN),
     0x04: ("many receive errors", WARNING),
     0x08: ("many send errors", WARNING),
-    0x10: ("receives passively", PASSIVE),
-    0x20: ("sends passively", PASSIVE),
+    0x10: ("error passive by receive errors", PASSIVE),
+    0x20: ("error passive by send errors", PASSIVE),
     0x40: ("error active again", ACTIVE),
 }
 #: Bits of byte 2, and values of byte 3: the violation and its place.

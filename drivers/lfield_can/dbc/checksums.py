@@ -1,7 +1,7 @@
 """Checksums of CAN messages, by the names that bindings use. Pure.
 
 AUTOSAR: E2E Protocol Specification, profiles 1 (data id mode "both"), 2 and 5, whose CRCs are in the
-specification of CRC routines. The last two are those of makers as in opendbc.
+specification of CRC routines. The last two are checksums of car makers, as in opendbc.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class _Draft:
             self.long_names[signal] = value
 
     def lengthen(self) -> None:
-        """Applies the long names, when all short ones were used."""
+        """Applies the long names, after the last statement that uses short ones."""
         self.name = self.long_name or self.name
         for at, signal in enumerate(self.signals):
             selector = self.long_names.get(signal.multiplexer_signal or "", signal.multiplexer_signal)
@@ -114,7 +114,7 @@ class _Reader:
 
     @property
     def is_dbc(self) -> bool:
-        """Whether most of the file is statements: other texts may quote some."""
+        """Whether most of the file consists of DBC statements; another kind of text may contain a few."""
         return self._known > self._unknown
 
     def add_statement(self, statement: Statement) -> None:

@@ -54,7 +54,7 @@ class Signal:
 
     @property
     def first(self) -> int:
-        """The first bit of the signal in written order."""
+        """The first bit of the signal; for Motorola bits are counted from the highest of each byte."""
         return self.start ^ 7 if self.is_motorola else self.start
 
     @property

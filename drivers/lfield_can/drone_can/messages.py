@@ -86,7 +86,7 @@ BATTERY_FLAGS: Mapping[int, str] = {
     32: "overload",
     64: "bad battery",
     128: "needs service",
-    256: "error of its management",
+    256: "fault of the battery management system",
 }
 #: Flags that are faults.
 BATTERY_FAULTS = 0x1F8

@@ -171,7 +171,9 @@ class DroneCanDevice(Device):
         return self.clock.monotonic() - self._last_contact
 
     def contact_error(self) -> DeviceError:
-        """The error for missing messages. A failed motion ends with its recovery, even after a short loss."""
+        """The error for missing messages. The loss is recorded, so that the device is made safe when messages
+        arrive again, even soon.
+        """
         self._on_loss()
         cause = self.network.trouble
         why = f" ({cause})" if cause else ""
@@ -186,7 +188,7 @@ class DroneCanDevice(Device):
             self.network.ask_node_info(self.node)
             await self.changes.wait_for(lambda: self._info is not None, ASK_INTERVAL)
         if self._info is None:
-            raise self.error(f"node {self.node} does not answer who it is", timeout=True)
+            raise self.error(f"node {self.node} does not answer requests for its identity", timeout=True)
         if self.unique_id and self._info.unique_id != self.unique_id:
             raise self.error(
                 f"node {self.node} has the unique id {self._info.unique_id.hex()}, not that of its binding; "

@@ -54,7 +54,8 @@ def frame_id(kind: TransferKind, source: int, priority: int) -> int:
 
 
 def kind_of(identifier: int) -> tuple[TransferKind, int]:
-    """The kind of transfer of a frame, and its source. An anonymous frame has two bits of its type only."""
+    """The kind of transfer of a frame, and its source. An anonymous frame has only the lowest two bits of
+    the type id."""
     source = identifier & 0x7F
     if identifier & _SERVICE:
         destination, is_request = identifier >> 8 & 0x7F, bool(identifier & 0x8000)

@@ -112,13 +112,13 @@ RPDO = Direction(
     ((CONTROL,), (TO_POSITION,), (TO_VELOCITY,), (TO_TORQUE,)),
     frozenset((CONTROL,)),
 )
-#: Optional objects, and what is impossible without them.
+#: Optional objects, and the ability that a drive without them lacks.
 OPTIONAL: Mapping[int, str] = {
-    TORQUE: "tell torque",
-    CURRENT: "tell current",
-    TO_POSITION: "take a stream of positions",
-    TO_VELOCITY: "take velocities",
-    TO_TORQUE: "take torques",
+    TORQUE: "report torque",
+    CURRENT: "report current",
+    TO_POSITION: "accept a stream of positions",
+    TO_VELOCITY: "accept velocities",
+    TO_TORQUE: "accept torques",
 }
 
 #: Emergencies and heartbeats.

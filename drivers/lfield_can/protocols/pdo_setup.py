@@ -1,4 +1,4 @@
-"""Configures the process data of a drive: our mapping if it permits, else its own.
+"""Configures the process data of a drive: with our mapping if the drive permits it, else with its own.
 
 A drive may have COB-ids with bit 30 (no remote frames), fixed mappings, no event timer, or fixed transmission
 types. A setting that cannot be written is read and used if it fits; otherwise the drive's answer is
@@ -26,8 +26,8 @@ from lfield_can.protocols.process_data import TYPES_END, Pdo, ProcessData, selec
 
 #: Bits of a COB-id: not in use; no remote frames. Bit 29 marks a 29-bit id; ours have 11.
 UNUSED, NO_REMOTE = 1 << 31, 1 << 30
-#: Transmission types: by event and timer, and at every SYNC. Up to LAST_SYNC they need SYNC, from FIRST_EVENT
-#: on nothing, and those between a remote frame.
+#: Transmission types: by event and timer, and at every SYNC. Types up to LAST_SYNC need SYNC, types from
+#: FIRST_EVENT on need no trigger, and the types between need a remote frame.
 BY_EVENT, BY_SYNC, LAST_SYNC, FIRST_EVENT = 255, 1, 240, 254
 #: A PDO at every nth SYNC only, or with a longer inhibit time (in 0.1 ms), is too old when it arrives.
 MOST_SYNCS, LONGEST_INHIBIT = 5, 1000

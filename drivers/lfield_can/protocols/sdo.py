@@ -36,8 +36,8 @@ _EXPEDITED, _SIZED, _TOGGLE, _LAST = 0x02, 0x01, 0x10, 0x01
 #: Our abort codes (CiA 301, table 22): time-out, too long, wrong length, not needed.
 TIMED_OUT, NO_MEMORY, WRONG_LENGTH, GENERAL_ERROR = 0x05040000, 0x05040005, 0x06070010, 0x08000000
 
-#: Probes: the identity of the node, which is mandatory (CiA 301, 7.5.2.19), with optional subindexes. Enough
-#: of them that no late answer is taken for that to a later probe of the same one.
+#: Probes: the identity of the node, which is mandatory (CiA 301, 7.5.2.19), with optional subindexes. There
+#: are so many that no late answer can be mistaken for the answer to a later probe of the same object.
 PROBES: Sequence[Key] = [(0x1018, subindex) for subindex in range(16)]
 
 

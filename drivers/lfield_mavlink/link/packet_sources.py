@@ -125,8 +125,10 @@ class _SourceState:
         return self._has_clock_of(other, SAME_CLOCK)
 
     def _has_clock_of(self, other: _SourceState, apart: float) -> bool:
-        """A rival is another vehicle unless the clocks agree; a source that is not a rival is one only if
-        they differ.
+        """Whether two sources may be one vehicle, by their boot clocks.
+
+        A rival is another vehicle unless the clocks are known to agree; any other source is the same
+        vehicle unless the clocks are known to differ.
         """
         if self.clock is None or other.clock is None:
             return not self.is_rival

@@ -86,7 +86,7 @@ class TcpLink:
     def why_silent(self) -> str:
         """The text for a silent connection: closed by the peer, or connected without data."""
         if self._hung_up:
-            return f"{self._name} hung up"
+            return f"{self._name} closed the connection"
         return (
             f"{self._name} is connected but sends nothing; a simulator serves one client at a time: is "
             "another one connected?"

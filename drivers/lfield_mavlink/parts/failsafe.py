@@ -67,8 +67,10 @@ class Failsafe:
 
     @property
     def holding(self) -> str:
-        """Describes foreign control: `its failsafe has it (Circle fence breached)`."""
-        return f"{self.holder} has it" + (f" ({self.text})" if self.is_engaged and self.text else "")
+        """Describes foreign control: `its failsafe controls the vehicle (Circle fence breached)`."""
+        return f"{self.holder} controls the vehicle" + (
+            f" ({self.text})" if self.is_engaged and self.text else ""
+        )
 
     async def await_text(self) -> None:
         """Waits briefly for a text about a motion that ended: it may arrive after the mode."""

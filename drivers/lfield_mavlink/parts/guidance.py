@@ -185,13 +185,15 @@ class Guidance:
         if self._following.fails(velocity, state.velocity, ttl, now) and place is not None:
             share = AHEAD / math.hypot(*velocity)
             north, east, down = (p + share * v for p, v in zip(place, velocity, strict=True))
-            what = f"setVelocity has hardly moved it for {Following.JUDGED:g} s"
+            what = f"setVelocity has hardly moved the vehicle for {Following.JUDGED:g} s"
             self._doubtful.put_nowait((what, f"{AHEAD:g} m ahead is", (north, east, down)))
 
     def _check_fence_here(self) -> None:
         """Schedules a check of the fence after its failsafe acted; its text names no parameter."""
         if (place := self._state.position) is not None and not self._vehicle.quiet:
-            self._doubtful.put_nowait((f"its failsafe has it in {self._state.mode}", "it is", place))
+            self._doubtful.put_nowait(
+                (f"its failsafe controls the vehicle in {self._state.mode}", "it is", place)
+            )
 
     async def do_set_yaw_rate(self, rate: float) -> None:
         """Turns on the spot at this rate for the time-to-live."""

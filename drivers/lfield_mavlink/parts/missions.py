@@ -65,7 +65,7 @@ class Missions:
         self._current = self._reached = -1
         # The time when the mission was last complete.
         self._completed_at = -math.inf
-        # Whether the vehicle has not reported to be within its mission, and so starts with waypoint 0.
+        # Whether the vehicle reports that its mission has not started, and so starts with waypoint 0.
         self._is_starting = True
         # Signs of a changed mission in flight: '' requires a check, any other text is a reason to hold.
         self._changes = MissionChanges()

@@ -36,8 +36,8 @@ from lfield_mavlink.setpoints.trajectory import (
 
 #: MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 _CHANGE_MODE = 1.0
-#: The share of a speed that is assumed, and how often it must have approached by so much in a time before it
-#: counts as failed.
+#: The assumed share of the speed; the time without an approach is at least so many times the time that the
+#: approach needs at this speed.
 _SLOWEST, _CERTAIN = 0.5, 4.0
 #: Lead of the goal on an orbit, in radians.
 _AHEAD = 0.5
@@ -84,8 +84,8 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class ProgressPatience:
-    """The time without an approach of `closer` metres, and the error after that with `{seconds}`, `{left}`
-    and `{clearance}`.
+    """The longest time without an approach of `closer` metres, and the error after it, a text with
+    `{seconds}`, `{left}` and `{clearance}`.
 
     A moving vehicle may take `turning` seconds, or the time for `detour` metres: a car-like rover first
     drives away from a goal behind it. The vehicle may move `clearance` metres from its start.
@@ -99,7 +99,7 @@ class ProgressPatience:
     message: str = "no progress for {seconds:g} s, {left:.1f} m from its goal"
 
     def bound(self, moves: bool, pace: float | None) -> float:
-        """Seconds without an approach that are too many, at a speed in m/s if known.
+        """The longest permitted seconds without an approach, at a speed in m/s if known.
 
         The actual speed may be half of it: acceleration, turns, corrections.
         """

@@ -24,12 +24,14 @@ KEYWORD = _message(
     "C103", "'{name}' is a keyword of L and cannot be the name of {what}", "choose another name"
 )
 DUPLICATE = _message(
-    "C104", "{what} '{name}' is also in {file}, line {line}", "keep one of them; only a mission overrides"
+    "C104",
+    "{what} '{name}' is also in {file}, line {line}",
+    "keep one of them; only the registry of a mission may override",
 )
 REDEFINED = _message(
     "C105",
     "a mission cannot redefine {what} '{name}', which other missions use",
-    "it is defined in {file}, line {line}; give yours another name",
+    "it is defined in {file}, line {line}; give the one of the mission another name",
 )
 
 STATED_AND_NOMINAL = _message(
@@ -47,7 +49,11 @@ NO_PARENT = _message("C110", "'{id}' has no parent: there is no term '{parent}'"
 UNKNOWN_TERM = _message(
     "C111", "there is no term '{id}' in the taxonomy", "`lfield capabilities tree` shows it"
 )
-ALIAS_IN_USE = _message("C112", "'{alias}' already means the term '{id}'", "one id means one thing")
+ALIAS_IN_USE = _message(
+    "C112",
+    "the alias '{alias}' is already the id or an alias of the term '{id}'",
+    "remove this alias, or choose another one",
+)
 DEPRECATED_BY_DEPRECATED = _message(
     "C113", "'{id}' is deprecated and cannot replace another term", "name a term that is not deprecated"
 )

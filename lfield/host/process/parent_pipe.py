@@ -7,11 +7,11 @@ or requests this host to stop.
 
 from __future__ import annotations
 
-import asyncio
 import os
 from collections.abc import Callable
 from contextlib import suppress
 
+from lfield.event_loop import read_until_end
 from lfield.wire.fields import MAX_INPUT
 
 #: Standard input, output and error.
@@ -59,22 +59,12 @@ class ParentPipe:
         on_parent_exit: Callable[[], None],
         on_typed: Callable[[str], None] = lambda text: None,
     ) -> None:
-        self._descriptor, self._on_host_exited = descriptor, on_host_exited
-        self._on_parent_exit, self._on_typed = on_parent_exit, on_typed
-        self._loop = asyncio.get_running_loop()
+        self._on_host_exited, self._on_parent_exit, self._on_typed = on_host_exited, on_parent_exit, on_typed
         self._partial_line = b""
-        os.set_blocking(descriptor, False)
-        self._loop.add_reader(descriptor, self._read)
+        read_until_end(descriptor, self._on_data)
 
-    def _read(self) -> None:
-        try:
-            data = os.read(self._descriptor, _MAX_LINE)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
+    def _on_data(self, data: bytes) -> None:
         if not data:
-            self._loop.remove_reader(self._descriptor)
             self._on_parent_exit()
             return
         *lines, self._partial_line = (self._partial_line + data).split(b"\n")

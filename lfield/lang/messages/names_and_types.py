@@ -114,8 +114,8 @@ EMPTY_ID = _message(
 SORT_ORDER = _message(
     "L429",
     "sort() does not know the order of {type}",
-    "name a method of this unit that compares two elements or gives a key: a.sort(nearer), with boolean "
-    "nearer({element} a, {element} b) or real distance({element} a)",
+    "write a.sort(nearer) with a method of this unit: boolean nearer({element} a, {element} b), which "
+    "returns whether a comes before b, or nearer({element} a), which returns an int, real or string key",
 )
 SORT_ARGUMENT = _message(
     "L430",
@@ -125,18 +125,18 @@ SORT_ARGUMENT = _message(
 SORT_METHOD = _message(
     "L431",
     "sort cannot compare elements by '{name}': {found}",
-    "write boolean {name}({element} a, {element} b), whether a comes before b, or a key: int, real or string "
-    "{name}({element} a)",
+    "write boolean {name}({element} a, {element} b), which returns whether a comes before b, or "
+    "{name}({element} a), which returns a key of type int, real or string",
 )
 MAP_TYPES = _message(
     "L432",
-    "a map has two types, of its keys and of its values",
-    "write map<string, int>, or another value type",
+    "a map needs two types: the type of its keys and the type of its values",
+    "write them in angle brackets, as in map<string, int>",
 )
 MAP_KEY = _message(
     "L433",
-    "the keys of a map are string, int or an enum, not {given}",
-    "use an id or a number of it as the key, and the object as the value",
+    "the key type of a map must be string, int or an enum, not {given}",
+    "use a name or a number as the key, and store the rest as the value",
 )
 NOT_CONSTANT = _message(
     "L434",
@@ -154,8 +154,8 @@ IMPURE = _message(
 )
 CHANGES_ARGUMENT = _message(
     "L438",
-    "the function '{function}' would change {what}, which its caller has",
-    "change a copy: a.slice(0, a.length()), or a new array",
+    "the function '{function}' cannot change {what}, which belongs to its caller",
+    "change a copy of the array, such as a.slice(0, a.length()), or create a new object",
 )
 NO_THIS = _message("L439", "the function '{function}' has no this", "pass what it needs as a parameter")
 ENUM_NAME = _message("L440", "'{name}' is an enum, not a value", "write one of its members: {name}.{member}")
@@ -183,13 +183,13 @@ LOOP_PLACE = _message(
 LOOP_RATE = _message(
     "L471",
     "the loop '{name}' has no rate",
-    "write loop {name} at 10.0 {{ ... }}, in hertz, or loop {name} every 0.1 {{ ... }}, in seconds; priority "
-    "and when follow",
+    "write loop {name} at 10.0 {{ ... }}, in hertz, or loop {name} every 0.1 {{ ... }}, in seconds; write "
+    "priority and when after the rate",
 )
 LOOP_PERIOD = _message(
     "L472",
     "the period of a loop is {given}: it must be from 0.001 s to 1000 s",
-    "at is followed by hertz, every by seconds",
+    "write the rate in hertz after at, or the period in seconds after every",
 )
 LOOP_PRIORITY = _message(
     "L473",
@@ -199,9 +199,9 @@ LOOP_PRIORITY = _message(
 LOOP_UNCONDITIONAL = _message(
     "L474",
     "the loop '{name}' has no `when`, so {lower} with a lower priority can never run",
-    "add when (condition), or give it the lowest priority",
+    "add when (condition), or give this loop the lowest priority",
 )
-LOOP_NAME = _message("L475", "'{name}' is a field already (line {line})", "choose another name for the loop")
+LOOP_NAME = _message("L475", "'{name}' is already a field (line {line})", "choose another name for the loop")
 LOOP_MEMBER = _message("L476", "a loop has no method '{name}'", "it has running() and overruns()")
 LOOP_VALUE = _message(
     "L477", "the loop '{name}' is not a value", "call its methods: {name}.running() and {name}.overruns()"
@@ -209,22 +209,24 @@ LOOP_VALUE = _message(
 LOOP_CALL = _message(
     "L478",
     "the loop '{name}' cannot be called",
-    "its thread calls it at each tick; move the code into a method that both can call",
+    "the thread of the loop runs its body at each tick; move the code into a method, and call that method",
 )
 TOO_MANY_LOOPS = _message(
-    "L479", "a resource has at most {limit} loops", "put what has the same rate into one loop"
+    "L479",
+    "a resource has at most {limit} loops",
+    "move the statements of several loops with the same rate into one loop",
 )
 
 LIMIT_OVER = _message(
     "L460",
-    "the limit of {name} must be more than 0 seconds, this is {given}",
-    "write how long it waits at most, as in {example}; after that it throws TimeLimitException",
+    "the time limit of {name} must be more than 0 seconds, this is {given}",
+    "write the longest wait in seconds, as in {example}; after this time {name} throws TimeLimitException",
 )
 
 ASYNC_CALL = _message(
     "L450",
-    "async begins the call of a portal, and this is none",
-    "call a portal of a proxy or of an offer: async arm.lift(1.5); other methods are called without async",
+    "async must be followed by a call of a portal, and this is not such a call",
+    "call a portal of a proxy or of an offer, as in async arm.lift(1.5); remove async before any other call",
 )
 ASYNC_TOGETHER = _message(
     "L451",
@@ -248,17 +250,17 @@ FUTURE_TWICE = _message(
 )
 RACE_ARGUMENT = _message(
     "L455",
-    "{name} has {argument}",
-    "futures.race(), futures.race(enough) with a method boolean enough(real result), futures.next()",
+    "{name}() takes {argument}",
+    "write futures.next(), futures.race(), or futures.race(enough) with a method boolean enough(real result)",
 )
 RACE_METHOD = _message(
     "L456",
     "race needs a method that returns boolean and has one parameter, of type {of}; {found}",
-    "write private boolean {name}({of} result) {{ ... }} in this unit: whether a result wins",
+    "write private boolean {name}({of} result) {{ ... }} in this unit, which returns whether a result wins",
 )
 FUTURE_TYPE = _message(
     "L457",
-    "the type of a future has one type: that of the result",
+    "a future needs one type: the type of the result of its call",
     "write future<real>, or future<void> for a call without a result",
 )
 FUTURE_NEW = _message(

@@ -136,11 +136,11 @@ FUTURE_PORTAL = _message(
     "pass the result: f.await()",
 )
 ASYNC_PLACE = _message(
-    "L529", "{viewer} cannot begin calls", "offer portals; a coordinator begins calls of several resources"
+    "L529", "{viewer} cannot begin calls with async", "move the async calls into a coordinator"
 )
 WAIT_PLACE = _message(
     "L530",
-    "wait until leaves the monitor, and {place} does not hold it",
+    "wait until releases the monitor, and {place} does not hold the monitor",
     "write it in a synchronized portal or method of a resource or of a resource specific class",
 )
 WAIT_SECONDS = _message(

@@ -79,7 +79,7 @@ ASSISTANT_REFUSED = _message(
 )
 ASSISTANT_LINE_SKIPPED = _message(
     "assistant-line-skipped",
-    "a line of the assistant's program skipped: it is not a message: {reason}",
+    "line of the assistant's program skipped, since the line is not a message: {reason}",
     "warning",
 )
 AGENT_RESUMED = _message("agent-resumed", "{agent} resumed from the journal")
@@ -129,7 +129,7 @@ FAILOVER_SUSPECTED = _message(
     "{agent} suspected lost: no heartbeat of its host for {seconds:g} s; querying every host",
 )
 FAILOVER_DEFERRED = _message(
-    "failover-deferred", "failover of {agent} left to {host}: it has a newer checkpoint"
+    "failover-deferred", "failover of {agent} left to {host}, which has a newer checkpoint"
 )
 FAILOVER_WAITING = _message(
     "failover-waiting", "failover of {agent} waiting: no majority of the members responds; retrying"
@@ -149,7 +149,7 @@ FAILOVER_IMPOSSIBLE = _message(
 )
 END_NOT_FINAL = _message(
     "end-not-final",
-    "end of {agents} not final: no majority of the members has stored it; {host} is waiting for that",
+    "end of {agents} not final: no majority of the members has stored it; {host} waits for this majority",
 )
 END_UNCONFIRMED = _message(
     "end-unconfirmed",

@@ -44,7 +44,8 @@ BUNDLE_KEPT = _message(
 )
 CLOCK_BEHIND = _message(
     "clock-behind",
-    "system clock behind: it shows {shown}, and it is at least {least}, since {evidence}; set the clock",
+    "system clock behind: it shows {shown}, but the time is at least {least}, since {evidence}; set the "
+    "clock",
     "warning",
 )
 CLOCK_AHEAD = _message(
@@ -60,8 +61,8 @@ SEQUENCE_STOPPING = _message("sequence-stopping", "{agent} is being stopped by {
 SEQUENCE_REFUSED = _message("sequence-refused", "{function} by {agent} refused: {reason}", "warning")
 INPUT_AWAITED = _message(
     "input-awaited",
-    "{agent} waits for a line of input, at most {seconds:g} s: type it where {host} runs, below lfield up "
-    "--all as {host}: TEXT, or on the page of lfield watch",
+    "{agent} waits for a line of input for at most {seconds:g} s: type the line in the terminal of {host}, "
+    "in the terminal of lfield up --all as {host}: TEXT, or on the page of lfield watch",
     meaning="of `read` in the program",
 )
 INPUT_READ = _message("input-read", "{agent} has read: {text}", meaning="a line of the operator's input")
@@ -72,7 +73,8 @@ INPUT_CUT = _message(
 )
 INPUT_UNADDRESSED = _message(
     "input-unaddressed",
-    "line of input ignored: it names no host that reads: type HOST: TEXT, where HOST is {hosts}",
+    "line of input ignored: the line does not begin with the name of a host that reads input; type HOST: "
+    "TEXT, where HOST is {hosts}",
     "warning",
     "by `lfield up --all`, where several hosts run programs that read",
 )
@@ -83,7 +85,7 @@ METHOD_UNCOMPILED = _message(
 BLOCK_OUTSIDE_ARENA = _message(
     "block-outside-arena",
     "{agent} running slowly: its block of {size:.1f} MiB does not fit into the WebAssembly memory with "
-    "those of the other agents, so the reference engine runs it",
+    "the blocks of the other agents, so the reference engine runs it",
     "warning",
 )
 CODE_CACHE_IGNORED = _message(

@@ -98,9 +98,9 @@ LINES_DROPPED = _message("lines-dropped", "{count} log lines about invalid messa
 CRL_RECEIVED = _message("crl-received", "certificate revocation list {number} received")
 CRL_INCOMPLETE = _message(
     "crl-incomplete",
-    "certificate revocation list {newest} incomplete: it does not revoke {serials}, and {other} does, so the "
-    "authority was restored from an older copy; this host treats them as revoked until it stops; revoke them "
-    "again with 'lfield keys revoke serial {first}'",
+    "certificate revocation list {newest} incomplete: it does not revoke {serials}, but {other} does, so the "
+    "authority was restored from an older copy; this host treats these certificates as revoked until it "
+    "stops; revoke them again with 'lfield keys revoke serial {first}'",
     "error",
 )
 CRL_NOT_STORED = _message(

@@ -128,8 +128,8 @@ class OperatorInput:
     def _throw_expired(self, reader: _Reader) -> None:
         here = self._scheduler.world.host_of(reader.agent.member)
         message = (
-            f"no line was entered at {here} within {reader.seconds:g} s: type it where {here} runs, "
-            f"below lfield up --all as {here}: TEXT, or on the page of lfield watch"
+            f"no line was entered at {here} within {reader.seconds:g} s: type the line in the terminal of "
+            f"{here}, in the terminal of lfield up --all as {here}: TEXT, or on the page of lfield watch"
         )
         self._scheduler.throw_builtin(
             reader.agent, reader.thread, "TimeLimitException", message, reader.agent.id

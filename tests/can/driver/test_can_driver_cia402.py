@@ -47,7 +47,7 @@ async def test_drive_is_identified_configured_and_moved(b, axis, /):
     assert b.values["enabled"] is False
     assert b.values["voltage"] == 24.5
     assert "current" not in b.values  # the drive has no object for it
-    assert any("does not tell current" in note for note in b.notes)
+    assert any("does not report current" in note for note in b.notes)
 
 
 @on_bench("rig", opened=False)
@@ -103,11 +103,11 @@ def test_drive_without_velocity_mode_positions_and_refuses_velocities(rig):
     async def mission(axis):
         await axis.execute("enable", [])
         await axis.execute("moveTo", [1.0, 10.0])
-        with pytest.raises(DeviceError, match="the drive does not take velocities"):
+        with pytest.raises(DeviceError, match="the drive does not accept velocities"):
             await axis.execute("setVelocity", [1.0])
 
     b.run(mission)
-    assert any("the drive does not take velocities" in note for note in b.notes)
+    assert any("the drive does not accept velocities" in note for note in b.notes)
 
 
 @pytest.mark.parametrize("without", [set(), {0x1402, 0x1602, 0x60FF}], ids=["velocities", "positions_only"])

@@ -154,7 +154,7 @@ async def test_velocity_that_leaves_the_bounds_is_stopped(b, axis, /):
     await axis.execute("setVelocity", [-2.0])
     await asyncio.sleep(0.5)
     assert b.values["position"] < 2.0
-    assert b.notes.count("stopped: it was leaving its bounds") == 1
+    assert b.notes.count("stopped: the axis moved out of its bounds") == 1
 
 
 @on_bench("rig")

@@ -97,7 +97,13 @@ def test_standard_and_extended_ids_have_different_keys():
     ("read", "identifier", "data", "words", "state"),
     [
         (linux_error, 0x040, "00", "bus off", OFF),
-        (linux_error, 0x004, "0022", "controller trouble (send buffer full, sends passively)", PASSIVE),
+        (
+            linux_error,
+            0x004,
+            "0022",
+            "controller trouble (send buffer full, error passive by send errors)",
+            PASSIVE,
+        ),
         (linux_error, 0x004, "0008", "controller trouble (many send errors)", WARNING),
         (linux_error, 0x004, "0040", "controller trouble (error active again)", ACTIVE),
         (linux_error, 0x028, "", "protocol violation, no acknowledgement of a frame", ""),

@@ -131,7 +131,8 @@ def test_coasting_fault_reaction_is_noted(drive):
     keep(b, 0x605E, 0)
 
     async def mission(axis):
-        assert [note for note in b.notes if "0x605" in note] == ["coasts after a fault: 0x605E is 0"]
+        notes = [note for note in b.notes if "0x605" in note]
+        assert notes == ["coasts after a fault: object 0x605E (fault reaction) is 0"]
 
     b.run(mission)
 

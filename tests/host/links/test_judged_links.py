@@ -162,7 +162,7 @@ async def test_revocations_are_merged_and_differing_lists_are_reported(team, /, 
         desk.link.send(RevocationUpdate(certificates.list(number, serial)))
     missing, has, newest = ("aa11", first, second) if second > first else ("bb22", second, first)
     other = f"list {has}" if first != second else "another one of that number"
-    line = f"list {newest} incomplete: it does not revoke {missing}, and {other} does"
+    line = f"list {newest} incomplete: it does not revoke {missing}, but {other} does"
     for host in (alpha, bravo):
         await team.until(lambda host=host: line in host.log)
         await asyncio.sleep(5.0)

@@ -175,6 +175,29 @@ def test_a_reservation_survives_a_restart_of_its_host(open_team):
     assert team.said("pilot: told") == 1
 
 
+@pytest.mark.parametrize(("seconds_off", "lost"), [(1.0, 0), (9.0, 1)])
+def test_a_coordinator_that_continues_after_a_restart_keeps_an_unexpired_reservation(
+    open_team, seconds_off: float, lost: int
+):
+    """The host of the coordinator restarts; the reserved resource is on the other host."""
+    team = open_team(
+        "reserve (b) { b.work(0.5); try { a.work(6.0); } catch (RestartException e) { } b.work(0.5); }",
+        "sleep(1000.0);",
+        "reservations: {lease: 6, wait: 60}\n",
+    )
+    team.run(2.0)
+    team.crash("alpha")
+    team.run(seconds_off)
+    held = team._fleet.lives["bravo"].core.reservations.held
+    assert [each.resource for each in held] == ["b"][lost:]
+    team.boot("alpha")
+    team.run(until=lambda: "pilot" in team.ended, at_most=100.0)
+    assert team.said("pilot resumed from the journal") == 1
+    assert team.ended["pilot"] == "done"
+    assert team.said("lost b: ") == lost
+    assert len([call for call in team.calls if call.resource == "b"]) == 2 - lost
+
+
 def test_after_a_restart_the_reservation_lasts_for_its_lease(open_team):
     """The holder is cut off, so no host renews the restored record."""
     team = open_team(

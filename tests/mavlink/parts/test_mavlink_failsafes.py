@@ -36,7 +36,10 @@ async def test_px4_fence_breach_takes_control_until_release(b, fc, /, action):
     b.autopilot.parameters["GF_MAX_HOR_DIST"] = 15.0
     await up(fc, 6.0)
     reason = await out_of_the_fence(b, fc)
-    assert "its failsafe, instead of OFFBOARD, has it (Geofence: exceeding maximum distance" in reason
+    assert (
+        "its failsafe, instead of OFFBOARD, controls the vehicle (Geofence: exceeding maximum distance"
+        in reason
+    )
     assert "Failsafe activated" in reason
     for what, values in (("setVelocity", [3.0, 0.0, 0.0]), ("goTo", [5.0, 0.0, -6.0]), ("hold", [])):
         with pytest.raises(DeviceError, match=f"{what} refused: .* release"):
@@ -97,7 +100,7 @@ async def test_failsafe_in_the_same_hold_mode_is_detected(b, fc, /, kept):
     await asyncio.sleep(9.0)
     b.driver.resume()
     await asyncio.sleep(1.2)
-    with pytest.raises(DeviceError, match=r"its failsafe.* has it"):
+    with pytest.raises(DeviceError, match=r"its failsafe.* controls the vehicle"):
         await fc.execute("goTo", [0.0, 0.0, -6.0])
     await fc.execute("release", [])
     await asyncio.sleep(2.0)
@@ -117,7 +120,9 @@ async def test_ardupilot_fence_takes_control_in_the_mode_of_the_program(b, fc, /
     b.autopilot.parameters.update(FENCE_ENABLE=1.0, FENCE_RADIUS=10.0)
     await asyncio.sleep(1.5)
     assert fc.taken_over()
-    with pytest.raises(DeviceError, match=r"its failsafe has it .Circle fence breached.. release"):
+    with pytest.raises(
+        DeviceError, match=r"its failsafe controls the vehicle .Circle fence breached.. release"
+    ):
         await fc.execute("goTo", [0.0, 0.0, -20.0])
     await fc.execute("release", [])
     await fc.execute("goTo", [5.0, 0.0, -20.0])
@@ -183,7 +188,8 @@ def test_battery_failsafe_keeps_control_until_release(bench):
         )
         assert fc.taken_over()
         with pytest.raises(
-            DeviceError, match=r"goTo refused: .* its failsafe has it .*release\(\) takes control again"
+            DeviceError,
+            match=r"goTo refused: .* its failsafe controls the vehicle .*release\(\) takes control again",
         ):
             await fc.execute("goTo", [0.0, 0.0, -6.0])
         await fc.execute("release", [])

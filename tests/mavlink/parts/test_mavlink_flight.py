@@ -213,11 +213,13 @@ async def test_failsafe_ends_the_flight_and_keeps_control_until_release(b, fc, /
     b.autopilot.go_home()
     with pytest.raises(DeviceError, match="goTo ended early: the vehicle went to RTL"):
         await flight
-    with pytest.raises(DeviceError, match=r"a pilot or a failsafe has it. release\(\) takes control again"):
+    with pytest.raises(
+        DeviceError, match=r"a pilot or a failsafe controls the vehicle. release\(\) takes control again"
+    ):
         await fc.execute("goTo", [0.0, 0.0, -5.0])
     await fc.make_safe()
     assert b.autopilot.mode == "RTL"
-    assert "a pilot or a failsafe has it" in await fc.execute("foreignControl", [])
+    assert "a pilot or a failsafe controls the vehicle" in await fc.execute("foreignControl", [])
     await fc.execute("release", [])
     assert await fc.execute("foreignControl", []) == ""
     await fc.execute("goTo", [0.0, 0.0, -5.0])

@@ -245,7 +245,7 @@ def test_velocity_blocked_by_the_fence_is_reported_once(bench):
 
     b.run(mission)
     (report,) = [note for note in b.notes if note.code == "mavlink-fence-suspected"]
-    assert "setVelocity has hardly moved it for 2 s, and 5 m ahead is 2" in report
+    assert "setVelocity has hardly moved the vehicle for 2 s, and 5 m ahead is 2" in report
     assert report.endswith(" m from home, but its own fence FENCE_RADIUS ends at 20 m")
 
 

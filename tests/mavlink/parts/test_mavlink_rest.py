@@ -102,7 +102,7 @@ async def test_pilot_takeover_during_landing_is_kept_until_disarmed(b, fc, /):
     for _ in range(3):
         await fc.make_safe()
     assert b.autopilot.mode == "STABILIZE"
-    assert sum("not commanded: it is in" in note for note in b.notes) == 1
+    assert sum("not commanded: the vehicle is in" in note for note in b.notes) == 1
     b.cut = True
     await asyncio.sleep(5.0)
     assert "no message for" in fc.moving()
@@ -134,7 +134,7 @@ async def test_failsafe_from_before_the_stop_is_watched_until_rest(b, fc, /):
     b.autopilot.go_home()
     await asyncio.sleep(1.5)
     await fc.make_safe()
-    assert any("not commanded: it is in" in note for note in b.notes)
+    assert any("not commanded: the vehicle is in" in note for note in b.notes)
     assert "in RTL" in fc.moving()
     await watched(fc)
 
@@ -306,4 +306,4 @@ async def test_refused_order_during_a_px4_landing_keeps_control(b, fc, /, order)
     assert b.autopilot.mode == "AUTO.LAND"
     await fc.make_safe()
     assert b.autopilot.mode == "AUTO.LOITER"
-    assert not any("not commanded: it is in" in note for note in b.notes)
+    assert not any("not commanded: the vehicle is in" in note for note in b.notes)

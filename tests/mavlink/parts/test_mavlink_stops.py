@@ -74,7 +74,7 @@ async def test_stop_of_a_silent_vehicle_under_pilot_control_fails(b, fc, /):
     await asyncio.sleep(0.3)
     with pytest.raises(DeviceError, match="no heartbeat for"):
         await fc.make_safe()
-    assert not any("not commanded: it is in" in note for note in b.notes)
+    assert not any("not commanded: the vehicle is in" in note for note in b.notes)
 
 
 @on_bench("bench")

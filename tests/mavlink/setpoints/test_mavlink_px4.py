@@ -224,11 +224,11 @@ async def test_px4_failsafe_and_pilot_control_are_distinguished(b, fc, /):
     # Without a renewal PX4's own setpoint failsafe lands the vehicle.
     await asyncio.sleep(3.0)
     assert b.values["failsafe"] is True
-    with pytest.raises(DeviceError, match="its failsafe, instead of OFFBOARD, has it"):
+    with pytest.raises(DeviceError, match="its failsafe, instead of OFFBOARD, controls the vehicle"):
         await fc.execute("goTo", [1.0, 0.0, -5.0])
     b.autopilot.command_mode("AUTO.RTL")
     await asyncio.sleep(1.5)
-    with pytest.raises(DeviceError, match=r"in AUTO.RTL, .* a pilot or another station has it"):
+    with pytest.raises(DeviceError, match=r"in AUTO.RTL, .* a pilot or another station controls the vehicle"):
         await fc.execute("goTo", [1.0, 0.0, -5.0])
 
 

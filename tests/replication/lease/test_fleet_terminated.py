@@ -203,7 +203,7 @@ def test_with_until_done_a_host_waits_until_the_end_is_final(tmp_path: Path) -> 
     fleet, breaches = cut_off_at_the_end(tmp_path)
     fleet.run(5.0)
     assert log_lines(
-        fleet, "end of boss not final: no majority of the members has stored it; b is waiting for that"
+        fleet, "end of boss not final: no majority of the members has stored it; b waits for this majority"
     )
     assert "b" in fleet.lives
     fleet.heal_all()

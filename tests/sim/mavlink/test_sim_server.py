@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
+from typing import IO
 
 import pytest
 import serial
@@ -20,11 +23,9 @@ from lfield_sim.mavlink import SIM, parse_listen
 pytestmark = pytest.mark.process
 
 
-def start(*options: str) -> subprocess.Popen[str]:
+def start(*options: str, stdin: int | IO[str] = subprocess.PIPE) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "lfield_sim", "mavlink", *options]
-    return subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def ready(process: subprocess.Popen[str]) -> tuple[str, int, str]:
@@ -55,6 +56,18 @@ def test_process_prints_ready_answers_and_ends_with_its_stdin(transport):
     assert {m.get_srcSystem() for m in got} == {7}
     out, err = process.communicate(timeout=60)
     assert (out, err, process.returncode) == ("", "", 0)
+
+
+@pytest.mark.parametrize("lines", [None, "ignored\n"], ids=["null", "file"])
+def test_a_process_whose_stdin_is_no_pipe_ends_at_its_end(lines, tmp_path):
+    source = Path(os.devnull)
+    if lines is not None:
+        source = tmp_path / "input"
+        source.write_text(lines)
+    with source.open() as stdin:
+        process = start("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", stdin=stdin)
+    out, err = process.communicate(timeout=60)
+    assert (out.split()[0], err, process.returncode) == ("ready", "", 0)
 
 
 def test_vehicles_of_one_link_and_faults_by_name_at_run_time(monkeypatch, tmp_path):

@@ -17,7 +17,7 @@ from lfield.lang.tree_traversal import all_statements, descendants, statement_ex
 from lfield.lang.types import BOOLEAN, EXCEPTION, INT, UNKNOWN, VOID, ArrayType, FutureType, future_of
 from lfield.text.suggestions import listed
 
-_AT_MOST = "at most the name of a method as its argument"
+_AT_MOST = "at most one argument, the name of a method"
 _REFUSES = re.compile(r"REFUSES\((open\[first\])\)")
 #: The methods of arrays of futures, and those that only the library calls: result and instruction.
 _METHODS = {"next": (INT, "next")}
@@ -70,7 +70,10 @@ def _race(body: BodyContext, raw: syntax.Call, owner: tree.Expr, kind: FutureTyp
     argument = raw.arguments[0]
     if kind.value == VOID:
         body.report(
-            messages.RACE_ARGUMENT, argument.span, name="race", argument="no argument without results"
+            messages.RACE_ARGUMENT,
+            argument.span,
+            name="race",
+            argument="no argument for futures without results",
         )
         return unknown(raw.span)
     if len(raw.arguments) > 1 or not isinstance(argument, syntax.Name):
@@ -78,7 +81,7 @@ def _race(body: BodyContext, raw: syntax.Call, owner: tree.Expr, kind: FutureTyp
             messages.RACE_ARGUMENT,
             raw.arguments[-1].span,
             name="race",
-            argument="at most the name of a method as its argument",
+            argument="at most one argument, the name of a method",
         )
         return unknown(raw.span)
     name = argument.name
