@@ -85,7 +85,7 @@ def _binding():
 def _written(*names, wait=0.0, then=(), unread=0):
     """The messages that the guard writes for successive calls and then for `then`; a list per write.
 
-    `unread` bytes are in the pipe, which the host does not read.
+    `unread` is the number of bytes in the pipe that the host does not read.
     """
     binding = _binding()
 

@@ -96,11 +96,11 @@ async def in_a_circle(flight):
     await flight.call("setMode", "CIRCLE")
 
 
-@pytest.mark.parametrize("flown", [in_a_mission, in_a_circle])
+@pytest.mark.parametrize("enter_mode", [in_a_mission, in_a_circle])
 @scenario("fly")
-async def test_guard_restart_lands_the_program_s_flight_in_any_mode(flight, /, desk, flown):
+async def test_guard_restart_lands_the_program_s_flight_in_any_mode(flight, /, desk, enter_mode):
     await up(flight)
-    await flown(flight)
+    await enter_mode(flight)
     # Twice: the second guard has no more information than the first.
     for _ in range(2):
         dead = flight.guard_pid

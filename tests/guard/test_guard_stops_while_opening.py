@@ -23,7 +23,7 @@ TIMES = {
 
 
 class Thing(Device):
-    """First only queried; then its setup changes it."""
+    """A device that is first only queried; its setup then changes its state."""
 
     started = False
     safe = 0

@@ -17,7 +17,7 @@ GO = Instruction("go", (), effect="actuate", blocking=True)
 
 
 class CoarseLoop(JumpingLoop):
-    """Timers in whole milliseconds; an earlier timer runs at once, by a handle without a time.
+    """Timers in whole milliseconds; a timer that is due earlier runs at once, as a handle without a time.
 
     Each reading of the clock advances it slightly: otherwise no time would pass while handles run.
     """

@@ -32,13 +32,13 @@ class Bench(Protocol):
     reports: list[str]
 
     def open(self) -> Journal:
-        """Start a process; the one before was killed, unless it closed the journal."""
+        """Start a process; the previous process was killed, unless it closed the journal."""
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Run work in the process."""
 
     def fill(self, full: bool) -> None:
-        """The disk has no space for another large record, and none in reserve; or has space again."""
+        """Fill the disk and its reserve (no space for a large record), or free the space again."""
 
     def damage(self, key: RecordKey) -> None:
         """Damage a record, while no process has the journal open."""

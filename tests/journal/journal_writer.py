@@ -1,5 +1,7 @@
-"""Writes records until it is killed: `python journal_writer.py FOLDER`; prints a line for each durable
-one."""
+"""Writes records until the process is killed: `python journal_writer.py FOLDER`.
+
+Prints a line for each durable record.
+"""
 
 from __future__ import annotations
 

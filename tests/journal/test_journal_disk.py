@@ -21,7 +21,7 @@ from lfield.journal.space_reservation import MIN_BYTES, STEP_BYTES
 
 
 def test_sqlite_forces_each_commit_to_the_disk(bench: FileBench) -> None:
-    """A test cannot cut the power."""
+    """The settings are checked, because a test cannot cut the power."""
     connection = bench.open()._store._connection
     assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
     assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
@@ -34,7 +34,7 @@ def test_a_slow_disk_does_not_block_the_loop_and_calls_are_joined_to_one_commit(
 
     def slow(groups: object) -> None:
         started.set()
-        # A wait for this on the loop would never end.
+        # If the event loop waited here, `done` would never be set.
         assert done.wait(60.0)
         write(groups)  # type: ignore[arg-type]
 

@@ -39,7 +39,7 @@ class LanguageBug:
         return self.plant.__name__
 
 
-def values_are_pasted_into_the_query(patch: Patch) -> None:
+def query_values_are_inserted_as_text(patch: Patch) -> None:
     def paste(query: OfferQuery, values: list[Bindable]) -> OfferQuery:
         text = query.condition.text if query.condition is not None else ""
         for number, value in enumerate(values):
@@ -56,30 +56,30 @@ def units_of_parameters_are_ignored(patch: Patch) -> None:
     patch.setattr(UnitCheck, "_convert", lambda self, parameter, needed: needed)
 
 
-def the_name_of_a_member_is_that_of_its_neighbour(patch: Patch) -> None:
+def enum_member_returns_the_name_of_the_next_member(patch: Patch) -> None:
     patch.setattr(
         enum_members, "enum_text", lambda name, members: enum_text(name, [*members[1:], members[0]])
     )
 
 
-def functions_see_the_methods_of_their_caller(patch: Patch) -> None:
+def functions_resolve_methods_of_their_caller(patch: Patch) -> None:
     patch.setattr(BodyContext, "methods", lambda self, name: self.unit.overloads(name, "method"))
 
 
-def constants_divide_to_the_lower_number(patch: Patch) -> None:
+def constant_division_rounds_down(patch: Patch) -> None:
     patch.setattr(
         constant_values, "_whole", lambda op, left, right: left // right if op == "/" else left % right
     )
 
 
-def what_is_stored_in_an_array_is_forgotten(patch: Patch) -> None:
+def aliasing_through_array_elements_is_not_tracked(patch: Patch) -> None:
     patch.setattr(purity._Changes, "_put", lambda self, target, values: None)
 
 
 BUGS = (
     LanguageBug(
-        values_are_pasted_into_the_query,
-        "values of a query are pasted into its text: a quote in one changes the query",
+        query_values_are_inserted_as_text,
+        "query values are inserted as text: a quote in a value changes the query",
         "capability_parameters",
     ),
     LanguageBug(
@@ -88,23 +88,23 @@ BUGS = (
         "capability_parameters",
     ),
     LanguageBug(
-        the_name_of_a_member_is_that_of_its_neighbour,
+        enum_member_returns_the_name_of_the_next_member,
         "name() of a member returns the name of the next one",
         "top_level_enums",
     ),
     LanguageBug(
-        functions_see_the_methods_of_their_caller,
+        functions_resolve_methods_of_their_caller,
         "a function calls a method of the unit that calls it, which has the name of another function",
         "top_level_functions",
     ),
     LanguageBug(
-        constants_divide_to_the_lower_number,
+        constant_division_rounds_down,
         "constants divide towards minus infinity, and the machine towards zero",
         "top_level_constants",
     ),
     LanguageBug(
-        what_is_stored_in_an_array_is_forgotten,
-        "a function changes an argument through an array in which it has stored it",
+        aliasing_through_array_elements_is_not_tracked,
+        "a function may change its argument through an array that contains the argument",
         "L438_argument",
     ),
 )

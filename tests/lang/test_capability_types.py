@@ -1,4 +1,4 @@
-"""Capabilities as types of L: when the registry is read, which ways a program gets, and places of errors."""
+"""Capabilities as types of L: when the registry is read, the generated providers, and error positions."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_generated_class_is_readable_l() -> None:
     assert "byCrane" not in text
 
 
-def test_generated_class_has_only_the_possible_ways() -> None:
+def test_generated_class_has_only_the_available_providers() -> None:
     assert "as_climb_lifts" not in class_of("Lift", "Hand", "Claw")
     assert "as_climb_lifts" in class_of("Lift", "Copter")
     assert "of_grip_and_climb" not in class_of("Lift", "Copter")
@@ -153,7 +153,7 @@ resource Hand { init(string[] arg) { } portal grip() emit boolean { return true;
 """
 
 
-def test_errors_in_the_class_of_a_rule_have_their_place(
+def test_errors_in_the_class_of_a_rule_have_their_source_position(
     with_class: Callable[[str], RegistryTypes],
 ) -> None:
     good = REGISTRY.with_name("lifting_grip_and_climb.inc").read_text(encoding="utf-8")

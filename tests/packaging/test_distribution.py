@@ -1,4 +1,4 @@
-"""The wheel and the editable install: their contents, and that both work."""
+"""The wheel and the editable install: their contents, and a run of each."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run(*words: object, **options) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
-    """The wheel of this checkout, built as a user's pip would; isolated unless the build tool is here."""
+    """The wheel of this checkout, built as a user's pip would; isolated if hatchling is missing."""
     folder = tmp_path_factory.mktemp("wheel")
     isolation = ["--no-build-isolation"] if find_spec("hatchling") else []
     built = run("-m", "pip", "wheel", "--quiet", "--no-deps", *isolation, "-w", folder, ROOT, cwd=folder)
@@ -46,7 +46,7 @@ def wheel(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory) -> dict[str, str]:
-    """The environment of a Python that sees the wheel before everything else."""
+    """The environment of a Python that imports the wheel before any other lfield."""
     folder = tmp_path_factory.mktemp("installed")
     done = run("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", folder, wheel)
     assert done.returncode == 0, done.stderr
@@ -139,9 +139,9 @@ def test_installed_wheel_runs(installed, tmp_path):
     assert lfield("--version").stdout.startswith("lfield 0.")
     checked = lfield("check", "hello.L", "hello.dL")
     assert (checked.returncode, checked.stderr) == (0, "")
-    flown = lfield("up", "--deploy", "hello.dL", "--all", "--until-done")
-    assert flown.returncode == 0, flown.stderr
-    assert "alpha | tom: hello tom" in flown.stderr
+    done = lfield("up", "--deploy", "hello.dL", "--all", "--until-done")
+    assert done.returncode == 0, done.stderr
+    assert "alpha | tom: hello tom" in done.stderr
 
 
 def test_installed_wheel_finds_its_plugins(installed, tmp_path):

@@ -1,4 +1,4 @@
-"""The unit of the permanent service: systemd loads it, it has few rights, and its crash ends no host."""
+"""The unit of the permanent service: systemd loads it, its rights are limited, and a crash ends no host."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def analyze(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 @needs_analyze
 def test_systemd_loads_the_service_unit(tmp_path):
-    """With an existing program: verify reports a missing one."""
+    """The unit names an existing program, because `verify` reports a missing one."""
     text = UNIT.read_text(encoding="utf-8").replace(f"{CURRENT}/bin/lfield", "/bin/true")
     (tmp_path / UNIT.name).write_text(text, encoding="utf-8")
     done = analyze("verify", tmp_path / UNIT.name)

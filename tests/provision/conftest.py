@@ -49,7 +49,7 @@ class Trial:
         return Outcome(done.returncode, reports, done.stderr)
 
     def kill_at(self, step: str) -> None:
-        """Runs `lfield provision`, and kills it (SIGKILL) when it reports a step as running."""
+        """Runs `lfield provision`, and sends SIGKILL when the command reports a step as running."""
         self.provision_until(step, lambda process: process.kill())
 
     def provision_until(

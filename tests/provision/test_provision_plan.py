@@ -175,8 +175,8 @@ def test_keys_of_the_robot_stay_without_an_authority():
     assert states(plan(ROBOT, "pi", without)) == {"keys": "refused"}
 
 
-def test_robot_of_another_host_is_taken_over_only_by_command():
-    """The inventory has its address under a wrong name."""
+def test_robot_of_another_host_is_replaced_only_by_command():
+    """The inventory has the robot's address under the name of another host."""
     made = installation()
     assert states(plan(replace(ROBOT, host="alpha"), "pi", made))["keys"] == "todo"
     for other in (replace(ROBOT, host="bravo"), replace(provisioned(ROBOT, made), host="bravo")):

@@ -83,7 +83,7 @@ def test_pip_options_name_the_platform():
     assert options[-6:] == ["--abi", "cp311", "--abi", "abi3", "--abi", "none"]
 
 
-def test_uv_knows_every_architecture():
+def test_uv_supports_every_architecture():
     assert set(ARCHITECTURES) == {"aarch64", "armv7l", "x86_64"}
     assert standalone_python.ARCHITECTURES is ARCHITECTURES
     assert PYTHONS == ("3.13", "3.12", "3.11")

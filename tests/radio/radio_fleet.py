@@ -1,4 +1,4 @@
-"""Robots with services on an emulated radio, and a desk; keys, inventory and a mission of some size."""
+"""Robots with services on an emulated radio, and a desk; with keys, an inventory and a mission."""
 
 from __future__ import annotations
 

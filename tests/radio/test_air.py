@@ -76,7 +76,7 @@ def test_same_seed_gives_the_same_losses_despite_other_directions() -> None:
     assert [d is None for d in fates(busy, 200)] == [d is None for d in first]
 
 
-def test_bursts_take_both_directions_and_their_share_of_time() -> None:
+def test_burst_loss_affects_both_directions_for_the_configured_time_share() -> None:
     model = air(Cell(Link(fade=0.1, burst=0.25)))
     lost = []
     for number in range(40_000):
@@ -109,7 +109,7 @@ def test_senders_take_turns_on_the_shared_channel() -> None:
     assert [round(transmission.end, 6) for transmission in sent] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
 
 
-def test_free_channel_begins_when_the_packet_comes() -> None:
+def test_free_channel_starts_sending_at_packet_arrival() -> None:
     channel = SharedChannel[str](Channel(rate=8000), 1)
     channel.offer(5.0, 0, "late", 100)
     ((_, _, begin, end),) = channel.pop_started(7.0)
@@ -145,7 +145,7 @@ def test_one_pair_may_have_another_link() -> None:
     assert fates(model, 3, to=2) == [0.0] * 3
 
 
-def test_cells_match_their_names_and_survive_json() -> None:
+def test_cells_match_their_names_after_a_json_round_trip() -> None:
     assert {name: Cell.from_json(cell.as_json()) for name, cell in CELLS.items()} == CELLS
     trips = {name: 2 * cell.link.delay for name, cell in CELLS.items()}
     assert trips["50 ms"] == 0.05

@@ -26,7 +26,7 @@ EXAMPLES = ("01-first-flight", "02-equivalent-lift", "03-mixed-team")
 
 
 def test_set_up(field, figure):
-    """Sets the vehicle up for the bindings of these tests. The other checks need it."""
+    """Sets the vehicle up for the bindings of these tests. The other checks need this setup."""
     mission = field.mission(OPEN, "//Vehicle:it@here\n//Nothing:nothing@here\n")
     refused = field.up(mission, "--until-done")
     status = refused.wait(READY)
@@ -85,7 +85,7 @@ def test_arming_right_after_opening(field, figure):
 def test_death(field, figure, who):
     """After a death the vehicle lands, by the remaining process or by its own failsafe."""
     if field.kind.vehicle != "copter":
-        pytest.skip("only copters are flown away")
+        pytest.skip("only copters fly away in this check")
     mission = field.mission(AWAY, "//Copter:it@here\n")
     host = field.up(mission)
     watcher = field.watcher
@@ -145,6 +145,6 @@ def test_example(field, figure, name):
         figure(f"{time.monotonic() - start:.0f} s")
 
 
-def test_nothing_is_left_moving(field):
-    """At the end the vehicle stands with its motors off."""
+def test_no_motor_is_left_armed(field):
+    """The vehicle is disarmed after all checks."""
     field.watcher.until(lambda seen: not seen.armed, 90.0, "its motors to be off")

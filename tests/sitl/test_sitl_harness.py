@@ -43,7 +43,7 @@ def test_packets_are_cut_from_a_stream_in_any_pieces(numbers, pieces):
     assert found == packets
 
 
-def test_relay_loses_its_share_of_packets_both_ways():
+def test_relay_drops_the_configured_share_of_packets_in_both_directions():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
         vehicle.settimeout(60.0)

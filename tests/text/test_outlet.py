@@ -87,7 +87,7 @@ def test_every_line_is_kept_or_counted():
 
 
 def a_pipe():
-    """A pipe with a small buffer that is full however rarely the writing thread runs."""
+    """A pipe with a small buffer, which fills even if the writing thread runs rarely."""
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
     return reading, writing
@@ -101,7 +101,7 @@ def a_socket():
 
 
 def a_terminal():
-    """A terminal as of ssh, without conversion of line ends."""
+    """A pseudo-terminal like that of ssh, without conversion of line ends."""
     ours, theirs = pty.openpty()
     attributes = termios.tcgetattr(theirs)
     attributes[1] &= ~termios.OPOST

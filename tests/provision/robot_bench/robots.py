@@ -1,8 +1,8 @@
 """A desk and robots as namespaces of this computer: private files, processes and networks, and a real sshd.
 
-The root of a robot is an overlay of this computer's root, in memory: installed files disappear with
-it. The desk and the robots are on one bridge without any route, so neither has internet access. There is no
-systemd: `systemctl` is a script that records its arguments, and restarts the service as the unit does.
+The root of a robot is an overlay of this computer's root, in memory: installed files disappear
+with the robot. The desk and the robots are on one bridge without any route, so neither has internet access.
+There is no systemd: `systemctl` is a script that logs its arguments and restarts the service like the unit.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ exec cat
 
 
 def missing() -> str:
-    """The reason why no bench is possible here, empty if it is possible."""
+    """The reason why a bench is impossible on this computer; empty if a bench is possible."""
     if os.geteuid() != 0:
         return "lfield provision on robots with sshd; needs root"
     tools = [tool for tool in TOOLS if not shutil.which(tool)] + ([] if SSHD.exists() else ["sshd"])

@@ -23,7 +23,7 @@ class Header(NamedTuple):
 def read_header(packet: bytes) -> Header | None:
     """The header of an IPv4 or IPv6 packet; None for one that is cut off or of another kind.
 
-    RFC 791, RFC 8200, RFC 9293, RFC 768. The payload is what lies behind the TCP or UDP header.
+    RFC 791, RFC 8200, RFC 9293, RFC 768. The payload follows the TCP or UDP header.
     """
     version = packet[0] >> 4 if packet else 0
     if version == 4 and len(packet) >= 20:

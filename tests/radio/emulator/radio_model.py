@@ -65,7 +65,7 @@ class Air:
         self._lost: list[tuple[Way, bytes]] = []
 
     def set_cell(self, cell: Cell) -> None:
-        """Set all pairs and the channel. What waits for the old channel is lost, fades are drawn anew."""
+        """Set all pairs and the channel. Drop queued packets and draw new fades."""
         self._cell = cell
         self._links.clear()
         self._fades.clear()

@@ -127,14 +127,14 @@ def packed(address: str) -> bytes:
 
 
 def main() -> None:
-    """Serve. A busy computer would be a poor radio of its own, so it runs before others where it may."""
+    """Route packets, with real-time priority if permitted: CPU load must not add delay."""
     with open(sys.stdin.fileno(), "rb", buffering=0, closefd=False) as control:
-        told = json.loads(control.readline())
-    # A Ctrl-C is for whoever started it, and closes stdin.
+        options = json.loads(control.readline())
+    # Ctrl-C is handled by the parent process, which then closes stdin.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-    router = Router(**told)
+    router = Router(**options)
     print(json.dumps("ready"), flush=True)
     router.serve()
 
