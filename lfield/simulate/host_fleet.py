@@ -126,6 +126,8 @@ class Fleet:
         self._known: set[str] = set()
         #: Hardware of any driver, by the names of devices that share it.
         self.hardware: dict[str, Hardware] = {}
+        #: Computers that are no hosts of the mission: those of operators and of simulated devices.
+        self.stations: list[SimulatedComputer] = []
         plugged = (plug or plug_any_hardware)(self, mission, rng)
         at_simulation = plugged.at(mission.team.at({name: f"{name}:{PORT}" for name in names}))
         self.mission = at_simulation if self.options.record is None else replayed_form(at_simulation)
@@ -137,8 +139,6 @@ class Fleet:
         self.replaced: set[str] = set()
         #: Hosts that never return.
         self.gone: set[str] = set()
-        #: Computers that are no hosts of the mission, such as an operator's.
-        self.stations: list[SimulatedComputer] = []
         for name in names:
             with unscanned_heap():
                 self.boot(name)

@@ -44,7 +44,8 @@ class CabledFake:
         # The random numbers depend on the device's name, so that adding a device does not affect others.
         machine = SimulatedMachine(name, timeline, random.Random(name))
         network.plug_in(machine)
-        self.process = SimulatedComputer(machine, network, {}).start(on_fake=self._serves)
+        self.computer = SimulatedComputer(machine, network, {})
+        self.process = self.computer.start(on_fake=self._serves)
         loop = self.process.loop
         loop.set_exception_handler(self._raised)
         loop.enter(lambda: loop.create_task(self._serve(sim, args)))

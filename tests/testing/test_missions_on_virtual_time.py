@@ -56,6 +56,17 @@ def test_two_copters_fly_with_the_real_driver_and_fake(lfield_mission):
     assert team.has_moved
 
 
+def test_a_closed_team_keeps_no_task_of_a_host_or_a_simulated_device(lfield_mission):
+    """Pinned tasks would stay in memory until the end of all tests."""
+    team = lfield_mission(FLIGHT)
+    team.run(1.0)
+    machines = {*team._fleet.machines.values(), *(computer.machine for computer in team._fleet.stations)}
+    assert {"alpha", "bravo", "lead.fc", "wing.fc"} <= {machine.name for machine in machines}
+    assert all(machine.pinned for machine in machines)
+    team.close()
+    assert not any(machine.pinned for machine in machines)
+
+
 @pytest.mark.few(0)
 def test_the_same_seed_gives_the_same_flight_and_another_does_not(lfield_mission):
     seen = []

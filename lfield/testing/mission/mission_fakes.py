@@ -112,7 +112,9 @@ class MissionFakes:
             if (sim := sims.get(bus[1])) is None:
                 raise PluginError(f"{devices[0].name}: there is no simulated device for driver '{bus[1]}'")
             options = [*sim.arguments(devices), *fault_options(devices), *self._faults(devices)]
-            self._cabled[bus] = CabledFake(devices[0].name, sim, options, fleet.timeline, fleet.network)
+            cabled = CabledFake(devices[0].name, sim, options, fleet.timeline, fleet.network)
+            self._cabled[bus] = cabled
+            fleet.stations.append(cabled.computer)
         served = wait_until_serving(self._cabled, fleet.timeline)
         for bus, fake in served.items():
             self._name(buses[bus], self._cabled[bus].process, fake)
