@@ -60,8 +60,8 @@ def read_query(
 
 
 def _constraint_error(text: str, mistakes: list[Mistake]) -> ConstraintError:
-    shown = text if len(text) <= 80 else f"{text[:77]}..."
-    return ConstraintError(shown, [str(mistake) for mistake in mistakes])
+    excerpt = text if len(text) <= 80 else f"{text[:77]}..."
+    return ConstraintError(excerpt, [str(mistake) for mistake in mistakes])
 
 
 def _compiled(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery | None:

@@ -83,8 +83,8 @@ def _decode(source: Source, data: object, depth: int) -> ConditionExpr:
             inner = _decode(source, owner, depth + 1)
             return ConditionMember(span, inner.height + 1, inner, name, _span(source, first, last))
         case "call", [function, list(arguments)]:
-            given = [_decode(source, argument, depth + 1) for argument in arguments]
-            return _call(span, _decode(source, function, depth + 1), given)
+            decoded = [_decode(source, argument, depth + 1) for argument in arguments]
+            return _call(span, _decode(source, function, depth + 1), decoded)
     raise ValueError("a node of a condition is malformed")
 
 

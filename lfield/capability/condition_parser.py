@@ -208,9 +208,9 @@ def _mapped(raw: syntax.Expr, depth: int) -> ConditionExpr:
                 if isinstance(function, syntax.Member)
                 else ConditionName(function.span, 1, function.name)
             )
-            given = [_mapped(argument, depth + 1) for argument in raw.arguments]
-            height = 1 + max([called.height, *(argument.height for argument in given)])
-            return ConditionCall(raw.span, height, called, given)
+            mapped_arguments = [_mapped(argument, depth + 1) for argument in raw.arguments]
+            height = 1 + max([called.height, *(argument.height for argument in mapped_arguments)])
+            return ConditionCall(raw.span, height, called, mapped_arguments)
         case syntax.Assign(operator="="):
             raise _ConditionError(raw.sign, "'=' is an assignment", "compare with ==")
         case syntax.Assign(operator=operator):

@@ -26,12 +26,12 @@ class UnitCheck:
         self.conversions: dict[ConditionParameter, Conversion] = {}
 
     def common_unit(
-        self, operands: Sequence[tuple[ConditionExpr, str | None]], what: str, needed: str | None = None
+        self, operands: Sequence[tuple[ConditionExpr, str | None]], operator: str, needed: str | None = None
     ) -> str | None:
         """The unit of operands that must have the same one; None if all may have any."""
         for operand, unit in operands:
             if needed is not None and unit is not None:
-                self._compare(operand, unit, needed, what)
+                self._compare(operand, unit, needed, operator)
             elif needed is None:
                 needed = unit
         for operand, _ in operands:
@@ -44,9 +44,9 @@ class UnitCheck:
         if isinstance(operand, ConditionParameter) and operand.unit:
             self._convert(operand, None)
 
-    def _compare(self, operand: ConditionExpr, unit: str, needed: str, what: str) -> None:
+    def _compare(self, operand: ConditionExpr, unit: str, needed: str, operator: str) -> None:
         if units.conversion(unit, needed) != _SAME:
-            message = f"'{what}' combines {_shown(needed)} with {_shown(unit)}"
+            message = f"'{operator}' combines {_unit_text(needed)} with {_unit_text(unit)}"
             self._report(operand.span, message, "compare what measures the same")
 
     def _convert(self, parameter: ConditionParameter, needed: str | None) -> str | None:
@@ -58,12 +58,13 @@ class UnitCheck:
         target = units.in_si(parameter.unit) if needed is None else needed
         conversion = units.conversion(parameter.unit, target)
         if conversion is None:
-            message = f"this is in {_shown(parameter.unit)}, and what it is compared with in {_shown(target)}"
+            unit = _unit_text(parameter.unit)
+            message = f"this is in {unit}, and what it is compared with in {_unit_text(target)}"
             self._report(parameter.span, message, "compare what measures the same")
             return needed
         self.conversions[parameter] = conversion
         return target
 
 
-def _shown(unit: str) -> str:
+def _unit_text(unit: str) -> str:
     return unit or "a pure number"

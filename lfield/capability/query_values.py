@@ -130,22 +130,22 @@ def standalone(tree: ConditionExpr) -> Expression:
 
 def _bound(expression: Expression, values: Sequence[Bindable]) -> Expression:
     """The expression with literals for its parameters, in its text too: explanations show it."""
-    found = sorted(parameters(expression.tree), key=lambda one: one.span.start)
+    found = sorted(parameters(expression.tree), key=lambda parameter: parameter.span.start)
     if not found:
         return expression
-    given = {one: _value_of(expression, one, values) for one in found}
+    values_by_parameter = {parameter: _value_of(expression, parameter, values) for parameter in found}
     text, at = "", 0
     ends: list[tuple[int, int]] = []
-    for one in found:
-        text += expression.text[at : one.span.start] + _literal_text(given[one])
-        at = one.span.end
+    for parameter in found:
+        text += expression.text[at : parameter.span.start] + _literal_text(values_by_parameter[parameter])
+        at = parameter.span.end
         ends.append((at, len(text)))
     source = Source("", text + expression.text[at:])
 
     def moved(span: Span) -> Span:
         return Span(source, _moved_place(span.start, ends), _moved_place(span.end, ends))
 
-    return Expression(source.text, _Moved(moved, given).tree(expression.tree))
+    return Expression(source.text, _Moved(moved, values_by_parameter).tree(expression.tree))
 
 
 def _moved_place(place: int, ends: Sequence[tuple[int, int]]) -> int:
@@ -155,11 +155,11 @@ def _moved_place(place: int, ends: Sequence[tuple[int, int]]) -> int:
     return place - old + new
 
 
-def _value_of(expression: Expression, one: ConditionParameter, values: Sequence[Bindable]) -> Bindable:
-    number = int(one.path[1:])
-    if number < len(values) and one.sort == sort_of(values[number]):
+def _value_of(expression: Expression, parameter: ConditionParameter, values: Sequence[Bindable]) -> Bindable:
+    number = int(parameter.path[1:])
+    if number < len(values) and parameter.sort == sort_of(values[number]):
         return values[number]
-    raise ConstraintError(expression.text, [f"the value of ${one.path} is missing or of another type"])
+    raise ConstraintError(expression.text, [f"the value of ${parameter.path} is missing or of another type"])
 
 
 def sort_of(value: Bindable) -> str:
@@ -176,15 +176,15 @@ def _literal_text(value: Bindable) -> str:
 class _Moved:
     """Copies trees to other places, with literals for their parameters."""
 
-    def __init__(self, place: Callable[[Span], Span], given: Mapping[ConditionParameter, Bindable]) -> None:
-        self._place, self._given = place, given
+    def __init__(self, place: Callable[[Span], Span], values: Mapping[ConditionParameter, Bindable]) -> None:
+        self._place, self._bound_values = place, values
 
     def tree(self, tree: ConditionExpr) -> ConditionExpr:
         """The copy of a checked tree."""
         span = self._place(tree.span)
         match tree:
-            case ConditionParameter() if tree in self._given:
-                return ConditionLiteral(span, 1, self._given[tree])
+            case ConditionParameter() if tree in self._bound_values:
+                return ConditionLiteral(span, 1, self._bound_values[tree])
             case ConditionUnary(operand=operand):
                 return replace(tree, span=span, operand=self.tree(operand))
             case ConditionBinary(sign=sign, left=left, right=right):

@@ -64,8 +64,10 @@ def run_session(args: argparse.Namespace, lines: Lines, plan: SessionPlan) -> in
         parties = [single_target(parties)]
         mission = _mission_of(args, parties[0])
     names = _limit_foreign(display_names(parties))
-    shown = _select_hosts(names, plan.only)
-    session = _Session(args, lines, plan, parties, names if plan.until_done else shown, set(shown.values()))
+    selected = _select_hosts(names, plan.only)
+    session = _Session(
+        args, lines, plan, parties, names if plan.until_done else selected, set(selected.values())
+    )
     try:
         return session.run(mission)
     except asyncio.CancelledError:
@@ -103,10 +105,10 @@ class _Session:
         plan: SessionPlan,
         parties: Sequence[TargetTeam],
         names: dict[HostRef, str],
-        shown: Collection[str],
+        selected: Collection[str],
     ) -> None:
         self._args, self._lines, self._plan = args, lines, plan
-        self._parties, self._names, self._shown = parties, names, shown
+        self._parties, self._names, self._selected = parties, names, selected
         self._recording: EventRecording | None = None
 
     def run(self, mission: Mission | None) -> int:
@@ -182,7 +184,7 @@ class _Session:
 
         if isinstance(item, FeedNotice):
             print_notice(item.host, item.text)
-        elif item.host not in self._shown:
+        elif item.host not in self._selected:
             return
         if self._recording is not None and (
             isinstance(item, FeedNotice) or item.event.kind in self._plan.kinds
@@ -245,8 +247,10 @@ def _limit_foreign(names: dict[HostRef, str]) -> dict[HostRef, str]:
         found[place.user].append(place)
     for user, places in found.items():
         if user and len(places) > MAX_FOREIGN_HOSTS:
-            left = len(places) - MAX_FOREIGN_HOSTS
-            print(f"lfield: {left} hosts of user {user} are left out: name a run with --run", file=sys.stderr)
+            omitted = len(places) - MAX_FOREIGN_HOSTS
+            print(
+                f"lfield: {omitted} hosts of user {user} are left out: name a run with --run", file=sys.stderr
+            )
             for place in places[MAX_FOREIGN_HOSTS:]:
                 del names[place]
     return names

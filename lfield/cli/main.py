@@ -261,8 +261,8 @@ def _refuse_empty(arguments: list[str], flags: Collection[str]) -> None:
         if option is None or option == REASON:
             continue
         is_value = option.startswith("-") and option not in flags
-        what = f"the value of {option}" if is_value else "an argument"
-        raise UsageError(f"{what} is empty; is a shell variable not set?")
+        subject = f"the value of {option}" if is_value else "an argument"
+        raise UsageError(f"{subject} is empty; is a shell variable not set?")
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Declare the mission: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
     named = parser.add_mutually_exclusive_group(required=required)
-    what = "deployment (.dL) or bundle (.lfm)" + (
+    description = "deployment (.dL) or bundle (.lfm)" + (
         ""
         if required
         else " (default: all missions that run on this computer, else the hosts of the inventory)"
     )
     # Positional arguments stand first in the help.
-    named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=what)
+    named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=description)
     named.add_argument(
         "--deploy", metavar="MISSION", type=Path, action=_GivenOnce, help="another way to give MISSION"
     )
@@ -141,10 +141,10 @@ def selected_team(args: argparse.Namespace) -> TargetTeam:
 
     Raises UsageError, NoMissionRunning.
     """
-    party, foreign = team_selection(args).single()
+    target, foreign = team_selection(args).single()
     if foreign:
         print(
             f"lfield: runs of other users are not included; select one with --run: {listed(foreign)}",
             file=sys.stderr,
         )
-    return party
+    return target

@@ -110,12 +110,12 @@ class _Reader:
         fields.report_unread()
         return host
 
-    def _matching(self, key: str, pattern: re.Pattern[str], what: str, fields: YamlFields) -> str:
+    def _matching(self, key: str, pattern: re.Pattern[str], expected: str, fields: YamlFields) -> str:
         """A text that matches; '' without it, and with a finding."""
         text = fields.text(key)
         if not text or pattern.fullmatch(text):
             return text
-        fields.report("Y113", f"'{text}' is not {what}", fields.value_span(key))
+        fields.report("Y113", f"'{text}' is not {expected}", fields.value_span(key))
         return ""
 
     def _options(self, fields: YamlFields) -> tuple[str, ...]:

@@ -37,9 +37,9 @@ def inventory_path(named: Path | None, environment: Mapping[str, str]) -> Path |
     """The file of the inventory; None without any."""
     if named is None and environment.get(VARIABLE) == "":
         return None
-    said = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
-    if said is not None:
-        return said
+    chosen = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
+    if chosen is not None:
+        return chosen
     try:
         own = config_dir() / "inventory.yaml"
     except NoHomeFolder:

@@ -297,8 +297,8 @@ class BindingsReader:
         if self.attributes is None or "attributes" not in fields:
             fields.node("attributes")
             return {}
-        draft = RegistryBuilder((), self._found, attributes=dict(self.attributes()))
-        values = read_values(draft, fields.section("attributes"))
+        builder = RegistryBuilder((), self._found, attributes=dict(self.attributes()))
+        values = read_values(builder, fields.section("attributes"))
         return {name: tuple(sorted(v)) if isinstance(v, frozenset) else v for name, v in values.items()}
 
     def _recovery(self, fields: YamlFields, silence: float) -> RecoverySettings:

@@ -115,12 +115,12 @@ def _find(folder: Path, order: BuildRequest) -> Path | None:
     try:
         record = _record.decode(read_within(folder / f"{order.key}.made", _MAX_RECORD))
         path = _place(folder, record.digest)
-        sound = (
+        is_valid = (
             record.inputs.is_up_to_date() and bundle.contents(bundle.read_file(path)).digest == record.digest
         )
     except (OSError, ValueError, msgspec.DecodeError, BundleError, InputFileError):
         return None
-    return path if sound else None
+    return path if is_valid else None
 
 
 def _build_new(folder: Path, order: BuildRequest) -> Path:
@@ -137,22 +137,22 @@ def _build_new(folder: Path, order: BuildRequest) -> Path:
 
 def _build(order: BuildRequest, workshop: Path) -> Path:
     """Build in a separate process; writes the bundle and its `inputs`."""
-    made = workshop / f"mission{bundle.SUFFIX}"
-    options = ["-o", str(made), "--inputs", str(workshop / "inputs"), *(["--json"] if order.as_json else [])]
+    path = workshop / f"mission{bundle.SUFFIX}"
+    options = ["-o", str(path), "--inputs", str(workshop / "inputs"), *(["--json"] if order.as_json else [])]
     command = [sys.executable, "-P", "-m", "lfield", "build", *order.build_arguments, *options]
     status = subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
     if status:
         raise BuildFailed(status if status > 0 else exit_status.SOFTWARE)
-    return made
+    return path
 
 
 def _store(folder: Path, order: BuildRequest, workshop: Path) -> Path:
     """Move the bundle into the cache. The record is written last, which makes the entry valid."""
-    made = workshop / f"mission{bundle.SUFFIX}"
-    digest = bundle.contents(bundle.read_file(made)).digest
+    path = workshop / f"mission{bundle.SUFFIX}"
+    digest = bundle.contents(bundle.read_file(path)).digest
     record = _Record(digest, _inputs.decode((workshop / "inputs").read_bytes()))
     (workshop / "made").write_bytes(msgspec.msgpack.encode(record))
-    os.replace(made, place := _place(folder, digest))
+    os.replace(path, place := _place(folder, digest))
     os.replace(workshop / "made", folder / f"{order.key}.made")
     return place
 

@@ -29,7 +29,7 @@ class BuildInputs(msgspec.Struct, frozen=True, array_like=True):
 
     def is_up_to_date(self) -> bool:
         """Whether all inputs are unchanged."""
-        return all(_state(os.fsdecode(path)) == (path, *then) for path, *then in self.code) and all(
+        return all(_state(os.fsdecode(path)) == (path, *state) for path, *state in self.code) and all(
             _digest(os.fsdecode(path)) == digest for path, digest in self.files.items()
         )
 
@@ -51,8 +51,8 @@ class InputRecorder:
         Files in the `workshop` are outputs, not inputs.
         """
         paths = {os.path.abspath(path) for path in (*self._opened, *map(str, searched))}
-        made = os.path.abspath(workshop)
-        files = sorted(path for path in paths if not path.startswith(made) and _counts(path))
+        prefix = os.path.abspath(workshop)
+        files = sorted(path for path in paths if not path.startswith(prefix) and _counts(path))
         return BuildInputs(
             {os.fsencode(path): _digest(path) for path in files}, tuple(map(_state, sorted(_code())))
         )

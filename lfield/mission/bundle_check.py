@@ -106,8 +106,8 @@ def _frames(bindings: Bindings) -> Iterator[str]:
 
 
 def _is_pose(pose: Pose) -> bool:
-    near = abs(pose.north) <= MAX_DISTANCE and abs(pose.east) <= MAX_DISTANCE
-    return near and abs(pose.down) <= MAX_ALTITUDE and abs(pose.heading) <= math.tau
+    is_near = abs(pose.north) <= MAX_DISTANCE and abs(pose.east) <= MAX_DISTANCE
+    return is_near and abs(pose.down) <= MAX_ALTITUDE and abs(pose.heading) <= math.tau
 
 
 def _devices(bindings: Bindings, needed: NeededDevices, drivers: DriverIndex) -> Iterator[str]:

@@ -39,9 +39,12 @@ def check_registry(
     """
     missions = [path for path in files if path.name.endswith(CAPABILITIES)]
     plugins = discover()
-    ours = [] if alone else [*shipped(), *plugins.capabilities]
-    known = {path.resolve() for path in ours}
-    base = [*ours, *(path for path in files if path not in missions and path.resolve() not in known)]
+    installed = [] if alone else [*shipped(), *plugins.capabilities]
+    installed_paths = {path.resolve() for path in installed}
+    base = [
+        *installed,
+        *(path for path in files if path not in missions and path.resolve() not in installed_paths),
+    ]
     found, unserved = Diagnostics(), dict[str, PlainFinding]()
     each: Sequence[Path | None] = missions or [None]
     for mission in each:
@@ -56,13 +59,13 @@ def check_registry(
             continue
         check_classes(registry, found)
         for mistake in _misfits(registry, mission, chosen, units, plugins):
-            if not _of(mistake.span, ours) or _of(mistake.span, files):
+            if not _is_in(mistake.span, installed) or _is_in(mistake.span, files):
                 found.add(mistake)
-        unserved |= {note.message: note for note in _unserved(registry, units, ours)}
+        unserved |= {note.message: note for note in _unserved(registry, units, installed)}
     return [*_without_duplicates(found.in_order()), *unserved.values()]
 
 
-def _of(span: Span, files: Iterable[Path]) -> bool:
+def _is_in(span: Span, files: Iterable[Path]) -> bool:
     """Whether a name is defined in one of some files."""
     return Path(span.source.name).resolve() in {file.resolve() for file in files}
 
@@ -95,13 +98,15 @@ def _misfits(
 
 
 def _unserved(
-    registry: Registry, units: Mapping[str, Signature], ours: Sequence[Path]
+    registry: Registry, units: Mapping[str, Signature], installed: Sequence[Path]
 ) -> Iterator[PlainFinding]:
     """Primitives that the registry of lfield promises of a type and the program's type lacks: a line each."""
     for type, provider in satisfied(registry, units).providers.items():
         promised = registry.providers[type].serves
         unserved_names = [
-            name for name in promised if name not in provider.serves and _of(promised[name].span, ours)
+            name
+            for name in promised
+            if name not in provider.serves and _is_in(promised[name].span, installed)
         ]
         if unserved_names:
             message = (

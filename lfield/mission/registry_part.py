@@ -81,7 +81,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _made(kind: type, value: Any) -> Any:
+def _decode_object(kind: type, value: Any) -> Any:
     """Decode types that msgpack lacks: a path from its name, an expression from its text and tree."""
     match value:
         case str() if kind is Path:
@@ -91,7 +91,7 @@ def _made(kind: type, value: Any) -> Any:
     raise ValueError(f"malformed {kind.__name__}")
 
 
-_decoder = msgspec.msgpack.Decoder(Registry, dec_hook=_made)
+_decoder = msgspec.msgpack.Decoder(Registry, dec_hook=_decode_object)
 
 
 # --- validation ---------------------------------------------------------------------------------------
@@ -112,8 +112,8 @@ def _problems(registry: Registry) -> Iterator[str]:
         yield from map(str, _mistakes(expression, scope, expected_type))
 
 
-def _unknown_names(what: str, names: Iterable[str], known: Mapping[str, object]) -> Iterator[str]:
-    return (f"there is no {what} '{name}'" for name in names if name not in known)
+def _unknown_names(kind: str, names: Iterable[str], known: Mapping[str, object]) -> Iterator[str]:
+    return (f"there is no {kind} '{name}'" for name in names if name not in known)
 
 
 def _named_attributes(registry: Registry) -> Iterator[str]:

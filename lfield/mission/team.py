@@ -168,10 +168,10 @@ def encode_rows(rows: Iterable[TeamRow]) -> bytes:
     return msgspec.msgpack.encode(list(rows))
 
 
-def parse_maps(given: Sequence[str], team: Team) -> dict[str, str]:
+def parse_maps(arguments: Sequence[str], team: Team) -> dict[str, str]:
     """`NAME=ADDR:PORT` from the command line, by host; raises UsageError."""
     maps: dict[str, str] = {}
-    for argument in given:
+    for argument in arguments:
         name, equals, address = argument.partition("=")
         if not equals or not _has_port(address):
             raise UsageError(

@@ -105,9 +105,9 @@ def ask_teams(
 ) -> dict[HostRef, T | LfieldError]:
     """The answers of all hosts of some teams, in order; `keys` is the directory of the user's keys."""
     answers: dict[HostRef, T | LfieldError] = {}
-    for some in ask_in_turn(teams, request, keys):
-        answers |= some
-    return {place: answers[place] for party in teams for place in party.host_refs}
+    for team_answers in ask_in_turn(teams, request, keys):
+        answers |= team_answers
+    return {place: answers[place] for team in teams for place in team.host_refs}
 
 
 def ask_in_turn(
@@ -118,7 +118,7 @@ def ask_in_turn(
     A host that does not answer delays the answers of others by at most `REPORT_AFTER`. No request is sent
     while the caller uses a part. A bug in lfield is raised after all requests.
     """
-    places = {place: address for party in teams for place, address in party.host_refs.items()}
+    places = {place: address for team in teams for place, address in team.host_refs.items()}
     failed: dict[HostRef, LfieldError] = {}
     known, desk = None, None
     try:
@@ -131,9 +131,9 @@ def ask_in_turn(
         # Requests to hosts of this computer need no keys: it may be a stop.
         transport, brings = observer_transport(), None
         failed = {place: error for place, address in places.items() if not address.startswith(UNIX)}
-    asked = {place: address for place, address in places.items() if place not in failed}
+    requested = {place: address for place, address in places.items() if place not in failed}
     with asyncio.Runner() as runner:
-        asking = runner.run(_in_loop(lambda: _Requests(transport, asked, request, brings, desk)))
+        asking = runner.run(_in_loop(lambda: _Requests(transport, requested, request, brings, desk)))
         answers: dict[HostRef, T | LfieldError] = {**failed}
         queried: set[HostRef] = set()
         complete = False
@@ -170,9 +170,9 @@ def _remember(known: KnownHosts, answers: Mapping[HostRef, T | LfieldError]) -> 
     known.save()
 
 
-def by_host(found: Mapping[HostRef, V], party: TargetTeam) -> dict[str, V]:
+def by_host(found: Mapping[HostRef, V], team: TargetTeam) -> dict[str, V]:
     """The results of the hosts of one team, by host."""
-    return {place.host: found[place] for place in party.host_refs}
+    return {place.host: found[place] for place in team.host_refs}
 
 
 def is_reached(answer: T | LfieldError) -> bool:
@@ -192,16 +192,16 @@ def unanswered_by_name(
     found = {place: answer for place, answer in answers.items() if isinstance(answer, LfieldError)}
     counts = Counter(place.run for place in found if place.user)
     reasons: dict[str, LfieldError] = {}
-    for place, why in found.items():
+    for place, reason in found.items():
         count = counts[place.run] if place.user else 0
-        reasons.setdefault(f"{count} hosts of {place.run}" if count > MAX_LINES else names[place], why)
+        reasons.setdefault(f"{count} hosts of {place.run}" if count > MAX_LINES else names[place], reason)
     return reasons
 
 
 def print_unanswered(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
     """A line on stderr for each host that did not answer."""
-    for host, why in hosts.items():
-        print(escape_line(f"{host}: {meaning}{why}"), file=sys.stderr)
+    for host, reason in hosts.items():
+        print(escape_line(f"{host}: {meaning}{reason}"), file=sys.stderr)
 
 
 def observer_transport(
@@ -244,16 +244,16 @@ async def ask_all(
     request: Request[T],
     crl: PresentedCrl | None = None,
     sender: OrderSender | None = None,
-    standing: OrderOnOpenLink | None = None,
+    open_link: OrderOnOpenLink | None = None,
     on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
 ) -> dict[K, T | LfieldError]:
     """The answer of every host by its key; `crl` is presented to hosts with an older list.
 
-    An order is also sent as datagrams, by a `sender`, and over open links, by `standing`. Each answer is
+    An order is also sent as datagrams, by a `sender`, and over open links, by `open_link`. Each answer is
     passed to `on_answer` when it comes. All hosts of other users' runs share the time-out of one host. A bug
     is raised as by `ask_in_turn`.
     """
-    asking = _Requests(transport, addresses, request, crl, sender, standing, on_answer)
+    asking = _Requests(transport, addresses, request, crl, sender, open_link, on_answer)
     answers = await asking.trusted() | await asking.foreign()
     for bug in asking.bugs:
         raise bug
@@ -274,12 +274,12 @@ class _Requests(Generic[K, T]):
         request: Request[T],
         crl: PresentedCrl | None,
         sender: OrderSender | None = None,
-        standing: OrderOnOpenLink | None = None,
+        open_link: OrderOnOpenLink | None = None,
         on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
     ) -> None:
         self._transport, self._addresses = transport, addresses
         self._request, self._crl = request, crl
-        self._sender, self._standing, self._on_answer = sender, standing, on_answer
+        self._sender, self._open_link, self._on_answer = sender, open_link, on_answer
         self._answers: dict[K, T | LfieldError] = {}
         #: Bugs, raised after all requests.
         self.bugs: list[Exception] = []
@@ -310,22 +310,22 @@ class _Requests(Generic[K, T]):
 
     def _end_datagrams(self, _: object) -> None:
         """Stop the datagrams when no request is left, also after an interrupt."""
-        for given in self._orders.values():
+        for datagrams in self._orders.values():
             assert self._sender is not None
-            self._sender.finish(given)
+            self._sender.finish(datagrams)
 
-    async def _each(self, keys: Sequence[K], most: int) -> None:
+    async def _each(self, keys: Sequence[K], limit: int) -> None:
         """Send requests in order, at most `limit` at the same time."""
-        left = iter(keys)
+        remaining = iter(keys)
 
-        async def some() -> None:
-            for key in left:
-                self._answers[key] = answer = await self._one(key)
+        async def send_remaining() -> None:
+            for key in remaining:
+                self._answers[key] = answer = await self._answer_of(key)
                 self._on_answer(key, answer)
 
-        await asyncio.gather(*(some() for _ in range(min(most, len(keys)))))
+        await asyncio.gather(*(send_remaining() for _ in range(min(limit, len(keys)))))
 
-    async def _one(self, key: K) -> T | LfieldError:
+    async def _answer_of(self, key: K) -> T | LfieldError:
         address = self._addresses[key]
         if _user(key) and not (address.startswith(UNIX) or is_number(address)):
             # A name look-up blocks a thread for as long as the name server takes.
@@ -345,14 +345,14 @@ class _Requests(Generic[K, T]):
         new_link = partial(ask_with_retries, self._transport, address, self._request, host, self._crl)
         if not isinstance(message, OrderMessage) or _user(key):
             return await new_link()
-        given = None if address.startswith(UNIX) else self._orders.get(_run(key))
-        standing = None if self._standing is None else partial(self._standing, host, message)
-        if given is None and standing is None:
+        datagrams = None if address.startswith(UNIX) else self._orders.get(_run(key))
+        over_open_link = None if self._open_link is None else partial(self._open_link, host, message)
+        if datagrams is None and over_open_link is None:
             return await new_link()
         from lfield.operator.orders.path_race import first_answer
 
         # The first answer counts.
-        return cast("T", await first_answer(host, cast("Any", new_link), given, standing))
+        return cast("T", await first_answer(host, cast("Any", new_link), datagrams, over_open_link))
 
     @property
     def answered(self) -> Mapping[K, T | LfieldError]:
@@ -374,8 +374,8 @@ class _Requests(Generic[K, T]):
     async def foreign(self) -> dict[K, T | LfieldError]:
         """The answers of other users' hosts, an error for each that has not answered by the time-out."""
         if self._foreign:
-            left = self._end - asyncio.get_running_loop().time()
-            _, late = await asyncio.wait(self._foreign, timeout=max(0.0, left))
+            remaining = self._end - asyncio.get_running_loop().time()
+            _, late = await asyncio.wait(self._foreign, timeout=max(0.0, remaining))
             for task in late:
                 task.cancel()
             await asyncio.gather(*self._foreign, return_exceptions=True)
@@ -384,8 +384,8 @@ class _Requests(Generic[K, T]):
         }
 
     def _timeout_error(self, key: K) -> LfieldError:
-        why = f"no answer of the runs of other users within {self._request.timeout:g} s"
-        return AddressError(self._addresses[key], why)
+        reason = f"no answer of the runs of other users within {self._request.timeout:g} s"
+        return AddressError(self._addresses[key], reason)
 
 
 def _host(key: Hashable) -> str:

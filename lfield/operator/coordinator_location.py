@@ -29,7 +29,7 @@ def parked_copies(agent: str, hosts: Mapping[K, HostState]) -> Iterator[tuple[K,
     """The copies of an agent that hosts store for another mission."""
     for place, host in hosts.items():
         if host.linked and host.report.journal is not None:
-            yield from ((place, one) for one in host.report.journal.parked if one.agent == agent)
+            yield from ((place, status) for status in host.report.journal.parked if status.agent == agent)
 
 
 def require_in_doubt(agent: str, hosts: Mapping[K, HostState], names: Mapping[K, str]) -> None:
@@ -50,13 +50,13 @@ def require_no_live_copy(agent: str, hosts: Mapping[K, HostState], names: Mappin
     """Raises CoordinatorAlive when a host has the coordinator, with its place and state."""
     for place, known in records(agent, hosts):
         if known.state in _LIVE:
-            way = (
+            direction = (
                 f", {_state(agent, hosts[place])}"
                 if known.state == "RUN"
                 else f", on its way to {known.where}"
             )
             raise CoordinatorAlive(
-                f"{agent} is alive on {names[place]} (start {known.generation}){way}: nothing was done"
+                f"{agent} is alive on {names[place]} (start {known.generation}){direction}: nothing was done"
             )
 
 
@@ -68,7 +68,9 @@ def doubt_advice(hosts: Mapping[str, HostState]) -> Iterator[str]:
     """A line for each coordinator that no answering host has, and that has not ended."""
     reports = {name: host.report for name, host in hosts.items() if host.linked}
     agents = {known.agent for report in reports.values() for known in report.coordinators}
-    agents |= {one.agent for report in reports.values() if report.journal for one in report.journal.parked}
+    agents |= {
+        status.agent for report in reports.values() if report.journal for status in report.journal.parked
+    }
     for agent in sorted(agents):
         found = [known for _, known in records(agent, hosts)]
         newest = max((known for known in found), key=_age, default=None)
@@ -77,8 +79,8 @@ def doubt_advice(hosts: Mapping[str, HostState]) -> Iterator[str]:
         if any(parked_copies(agent, hosts)):
             yield f"{agent}: start its own mission again, or end it: lfield forget {agent}"
         elif newest and newest.state in ("MOVED", "IN DOUBT"):
-            away = newest.where and newest.where not in reports
-            first = f"start {newest.where} again; if it is permanently lost, " if away else ""
+            is_away = newest.where and newest.where not in reports
+            first = f"start {newest.where} again; if it is permanently lost, " if is_away else ""
             if any(k.state in ("MOVED", "IN DOUBT") and not k.unreadable for k in found):
                 first += f"continue without it: lfield recover {agent}, or "
             yield f"{agent}: {first}end it: lfield forget {agent}"

@@ -131,16 +131,19 @@ def shared_runs() -> DiagnosticFinding:
 def engine() -> DiagnosticFinding:
     """Whether wasmtime can run programs."""
     if not has_wasm():
-        what = "the reference engine runs programs: wasmtime is not installed"
+        message = "the reference engine runs programs: wasmtime is not installed"
         return DiagnosticFinding(
-            "engine", "note", what, "pip install 'lfield[wasm]': loops and calls run a hundred times as fast"
+            "engine",
+            "note",
+            message,
+            "pip install 'lfield[wasm]': loops and calls run a hundred times as fast",
         )
     try:
         with wasm_engine() as wasm:
             wasm.WasmEngine(compile_program(check_text(_TRIAL_PROGRAM, "tried.L").or_raise()), float)
     except EngineUnavailable as unusable:
-        what = f"the reference engine runs programs: {unusable}"
-        return DiagnosticFinding("engine", "warning", what, _REINSTALL)
+        message = f"the reference engine runs programs: {unusable}"
+        return DiagnosticFinding("engine", "warning", message, _REINSTALL)
     return DiagnosticFinding(
         "engine", "ok", f"wasmtime {importlib.metadata.version('wasmtime')} runs programs"
     )
@@ -246,16 +249,16 @@ def _promptness() -> DiagnosticFinding:
 
 def confinement() -> DiagnosticFinding:
     """Whether this kernel can confine guards to their devices; see lfield.guard.sandbox."""
-    kept, missing = describe_sandbox()
-    if not kept:
+    confined, missing = describe_sandbox()
+    if not confined:
         return DiagnosticFinding("confinement", "note", f"guards have all rights of their user: {missing}")
     if missing:
         return DiagnosticFinding(
             "confinement",
             "note",
-            f"guards are kept to their devices ({kept}); this kernel cannot for {missing}",
+            f"guards are kept to their devices ({confined}); this kernel cannot for {missing}",
         )
-    return DiagnosticFinding("confinement", "ok", f"guards are kept to their devices ({kept})")
+    return DiagnosticFinding("confinement", "ok", f"guards are kept to their devices ({confined})")
 
 
 async def scheduling_lateness(silence: float, clock: Clock, *, bound: bool) -> DiagnosticFinding:
@@ -308,7 +311,7 @@ async def endpoints(
 
 def _not_open(device: DeviceBinding, problem: str, setup: str, notes: Sequence[str]) -> DiagnosticFinding:
     if not setup:
-        cure = "" if "log in again" in problem else "check power, cable, endpoint and ids"
-        return DiagnosticFinding("endpoint", "problem", problem, cure)
+        hint = "" if "log in again" in problem else "check power, cable, endpoint and ids"
+        return DiagnosticFinding("endpoint", "problem", problem, hint)
     details = [note.removeprefix(device.name).lstrip(": ") for note in notes]
     return DiagnosticFinding("endpoint", "problem", problem, f"{setup} (with a confirmation)", details)

@@ -32,60 +32,69 @@ class ResetPlan(NamedTuple):
     parked: Mapping[CoordinatorRecord, str]
 
 
-def departed(pages: Iterable[Record]) -> list[CoordinatorRecord]:
+def departed(stored: Iterable[Record]) -> list[CoordinatorRecord]:
     """The copies that may be alive elsewhere."""
-    copies = (page for page in pages if isinstance(page, CoordinatorRecord))
-    return [page for page in copies if page.state in ("PREPARED", "MOVED")]
+    copies = (record for record in stored if isinstance(record, CoordinatorRecord))
+    return [record for record in copies if record.state in ("PREPARED", "MOVED")]
 
 
-def plan_reset(host: str, pages: Sequence[Record], others: Mapping[str, HostState]) -> ResetPlan:
+def plan_reset(host: str, stored: Sequence[Record], others: Mapping[str, HostState]) -> ResetPlan:
     """The reset after which the next start of a host is a new run; the counter of starts stays.
 
     `others` are the answers of the other hosts.
     """
-    held = [page for page in pages if isinstance(page, CoordinatorRecord) and page.state == "RUN"]
-    away, thrown, changed = list[CoordinatorRecord](), list(held), list[Record]()
+    held = [record for record in stored if isinstance(record, CoordinatorRecord) and record.state == "RUN"]
+    departed_copies, discarded, changed = list[CoordinatorRecord](), list(held), list[Record]()
     parked = dict[CoordinatorRecord, str]()
-    for page in departed(pages):
-        ending, where = _known_outcome(page, others), _parked(page, others)
-        if ending is not None:
-            changed.append(ending)
+    for record in departed(stored):
+        exit_record, where = _known_outcome(record, others), _parked(record, others)
+        if exit_record is not None:
+            changed.append(exit_record)
         elif where:
-            parked[page] = where
+            parked[record] = where
         else:
-            away.append(page)
-    thrown += parked
-    changed += [_ended(page, "lost", RESET_REASON, host) for page in thrown]
-    bundle = [BundleRecord(b"") for page in pages if isinstance(page, BundleRecord)]
-    return ResetPlan(thrown, away, [*changed, RunMarker(open=False), *bundle], parked)
+            departed_copies.append(record)
+    discarded += parked
+    changed += [_ended(record, "lost", RESET_REASON, host) for record in discarded]
+    bundle = [BundleRecord(b"") for record in stored if isinstance(record, BundleRecord)]
+    return ResetPlan(discarded, departed_copies, [*changed, RunMarker(open=False), *bundle], parked)
 
 
-def plan_discard(host: str, pages: Sequence[Record], reason: str) -> ResetPlan:
+def plan_discard(host: str, stored: Sequence[Record], reason: str) -> ResetPlan:
     """The reset that ends every coordinator of a journal; for a team of which every host does the same."""
-    copies = [page for page in pages if isinstance(page, CoordinatorRecord) and page.state != "EXITED"]
-    bundle = [BundleRecord(b"") for page in pages if isinstance(page, BundleRecord)]
-    changed = [_ended(page, "lost", reason, host) for page in copies]
+    copies = [
+        record for record in stored if isinstance(record, CoordinatorRecord) and record.state != "EXITED"
+    ]
+    bundle = [BundleRecord(b"") for record in stored if isinstance(record, BundleRecord)]
+    changed = [_ended(record, "lost", reason, host) for record in copies]
     return ResetPlan(copies, (), [*changed, RunMarker(open=False), *bundle], {})
 
 
-def _known_outcome(page: CoordinatorRecord, others: Mapping[str, HostState]) -> CoordinatorRecord | None:
+def _known_outcome(record: CoordinatorRecord, others: Mapping[str, HostState]) -> CoordinatorRecord | None:
     """The end of a copy that migrated, if a host knows it."""
-    for _, known in records(page.agent, others):
-        if known.generation == page.generation and known.state == "EXITED":
-            return _ended(page, known.outcome or "lost", known.detail, known.where)
+    for _, known in records(record.agent, others):
+        if known.generation == record.generation and known.state == "EXITED":
+            return _ended(record, known.outcome or "lost", known.detail, known.where)
     return None
 
 
-def _parked(page: CoordinatorRecord, others: Mapping[str, HostState]) -> str:
+def _parked(record: CoordinatorRecord, others: Mapping[str, HostState]) -> str:
     """The host that stores a migrated copy for another mission; '' for none."""
-    copies = parked_copies(page.agent, others)
+    copies = parked_copies(record.agent, others)
     return next(
-        (where for where, one in copies if one.generation == page.generation and one.state == "RUN"), ""
+        (where for where, copy in copies if copy.generation == record.generation and copy.state == "RUN"), ""
     )
 
 
-def _ended(page: CoordinatorRecord, outcome: Outcome, detail: str, host: str) -> CoordinatorRecord:
+def _ended(record: CoordinatorRecord, outcome: Outcome, detail: str, host: str) -> CoordinatorRecord:
     """The same start, ended; sent by the host where it ended until all have confirmed."""
     return structs.replace(
-        page, state="EXITED", outcome=outcome, detail=detail, ended_on=host, block=b"", program=b"", doubt=""
+        record,
+        state="EXITED",
+        outcome=outcome,
+        detail=detail,
+        ended_on=host,
+        block=b"",
+        program=b"",
+        doubt="",
     )

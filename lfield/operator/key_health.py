@@ -37,7 +37,7 @@ def health(folder: Path, at: float) -> Iterator[DiagnosticFinding]:
     """The finding about the keys in a directory, at this time in seconds since 1970 UTC."""
     holders = [holder for holder in _HOLDERS if (folder / certificate_name(holder)).exists()]
     if (folder / WEB_CERTIFICATE).exists():
-        yield _page(folder, at)
+        yield _web_keys(folder, at)
     elif not holders:
         yield DiagnosticFinding(
             "keys",
@@ -55,66 +55,73 @@ def health(folder: Path, at: float) -> Iterator[DiagnosticFinding]:
             yield DiagnosticFinding("keys", "problem", f"{place} {error}")
 
 
-def _page(folder: Path, at: float) -> DiagnosticFinding:
+def _web_keys(folder: Path, at: float) -> DiagnosticFinding:
     from lfield.authority.web_ca.web_keys import read_web_keys
 
     try:
-        page = read_web_keys(folder)
+        keys = read_web_keys(folder)
     except KeysError as error:
         return DiagnosticFinding("page-keys", "problem", f"keys {error}")
-    if refusal := page.refusal(page.names[0], at):
+    if refusal := keys.refusal(keys.names[0], at):
         return DiagnosticFinding("page-keys", "problem", f"keys {folder}: {refusal}")
-    what = f"keys {folder}: a page at {', '.join(page.names)}, "
-    if page.valid_until - at < EXPIRY_WARNING:
+    summary = f"keys {folder}: a page at {', '.join(keys.names)}, "
+    if keys.valid_until - at < EXPIRY_WARNING:
         days, renew = (
-            int((page.valid_until - at) // 86400),
-            f"'lfield keys page {' '.join(page.names)}' makes the next",
+            int((keys.valid_until - at) // 86400),
+            f"'lfield keys page {' '.join(keys.names)}' makes the next",
         )
         return DiagnosticFinding(
-            "page-keys", "warning", f"{what}expire in {days} days, {format_time(page.valid_until)}", renew
+            "page-keys", "warning", f"{summary}expire in {days} days, {format_time(keys.valid_until)}", renew
         )
-    return DiagnosticFinding("page-keys", "ok", f"{what}valid until {format_time(page.valid_until)}")
+    return DiagnosticFinding("page-keys", "ok", f"{summary}valid until {format_time(keys.valid_until)}")
 
 
 def _finding(folder: Path, keys: Keys, at: float) -> DiagnosticFinding:
     """Raises KeysError for keys that do not fit one another."""
     from lfield.authority.certificate_reader import revoked_in, verify_keys
 
-    who = verify_keys(keys)
+    identity = verify_keys(keys)
     revoked = revoked_in(keys.revoked, keys.authority) if keys.revoked else RevocationList()
-    what = f"keys {folder}: {who}, "
-    details = list(_details(who, revoked))
-    if who.serial in revoked.serials:
+    summary = f"keys {folder}: {identity}, "
+    details = list(_details(identity, revoked))
+    if identity.serial in revoked.serials:
         return DiagnosticFinding(
             "keys",
             "problem",
-            f"{what}revoked",
-            f"'lfield keys {who.kind} {who.name}' creates new ones",
+            f"{summary}revoked",
+            f"'lfield keys {identity.kind} {identity.name}' creates new ones",
             details,
         )
-    renew = f"'lfield keys renew {who.kind} {who.name}' where the authority is, and copy the folder again"
-    if at >= who.valid_until:
-        cure = f"set the clock if it is wrong: it shows {format_time(at)}; else {renew}"
+    command = f"'lfield keys renew {identity.kind} {identity.name}'"
+    renew = f"{command} where the authority is, and copy the folder again"
+    if at >= identity.valid_until:
+        hint = f"set the clock if it is wrong: it shows {format_time(at)}; else {renew}"
         return DiagnosticFinding(
-            "keys", "problem", f"{what}expired {format_time(who.valid_until)}", cure, details
+            "keys", "problem", f"{summary}expired {format_time(identity.valid_until)}", hint, details
         )
-    if at < who.valid_from:
-        cure = f"set the clock of this computer, which shows {format_time(at)}"
+    if at < identity.valid_from:
+        hint = f"set the clock of this computer, which shows {format_time(at)}"
         return DiagnosticFinding(
-            "keys", "warning", f"{what}not valid before {format_time(who.valid_from)}", cure, details
+            "keys", "warning", f"{summary}not valid before {format_time(identity.valid_from)}", hint, details
         )
-    if who.valid_until - at < EXPIRY_WARNING:
-        days = int((who.valid_until - at) // 86400)
+    if identity.valid_until - at < EXPIRY_WARNING:
+        days = int((identity.valid_until - at) // 86400)
         return DiagnosticFinding(
-            "keys", "warning", f"{what}expire in {days} days, {format_time(who.valid_until)}", renew, details
+            "keys",
+            "warning",
+            f"{summary}expire in {days} days, {format_time(identity.valid_until)}",
+            renew,
+            details,
         )
-    return DiagnosticFinding("keys", "ok", f"{what}valid until {format_time(who.valid_until)}", "", details)
+    return DiagnosticFinding(
+        "keys", "ok", f"{summary}valid until {format_time(identity.valid_until)}", "", details
+    )
 
 
-def _details(who: Identity, revoked: RevocationList) -> Iterator[str]:
-    yield f"certificate {who.serial[:12]} of the authority {who.authority[:12]}"
-    if who.kind == "person":
-        rights = sorted_rights(who.may)
+def _details(identity: Identity, revoked: RevocationList) -> Iterator[str]:
+    yield f"certificate {identity.serial[:12]} of the authority {identity.authority[:12]}"
+    if identity.kind == "person":
+        rights = sorted_rights(identity.may)
         yield f"may {rights}" if rights else "has no rights"
     if revoked.number:
         yield f"revoked: {revoked}"

@@ -182,9 +182,9 @@ class _RequestLink(ObserverLink, Generic[T]):
         elif isinstance(message, HandshakeRefused):
             raise HandshakeError(f"{greeting.peer.host} refused: {message.reason}")
         elif isinstance(message, OrderChallenge):
-            if not self.answer.done() and (again := answer_challenge(self._has_sent, message)):
-                self._has_sent = again
-                link.send(again)
+            if not self.answer.done() and (answer := answer_challenge(self._has_sent, message)):
+                self._has_sent = answer
+                link.send(answer)
         elif isinstance(message, EventBatch) and message.snapshot is None:
             raise WireError(f"{greeting.peer.host} has sent no snapshot")
         elif isinstance(message, self._request.answer) and not self.answer.done():

@@ -52,25 +52,25 @@ def parse_query(text: str, registry: Registry) -> CapabilityQuery:
     source = Source("query", text)
     found: list[Diagnostic] = []
     primitives = _primitives(match["what"], Span(source, *match.span("what")), registry, found)
-    asked = "where" if match["where"] is not None else "how"
+    clause = "where" if match["where"] is not None else "how"
     offers, mistakes = (
-        (ANY_OFFER, []) if match[asked] is None else read_query(match[asked], registry.attributes)
+        (ANY_OFFER, []) if match[clause] is None else read_query(match[clause], registry.attributes)
     )
-    start = match.start(asked)
+    start = match.start(clause)
     found += [_diagnostic(mistake, start, source) for mistake in mistakes]
     if found:
         raise ProgramError(found)
     return CapabilityQuery(text.strip(), tuple(primitives), offers or ANY_OFFER)
 
 
-def _primitives(what: str, place: Span, registry: Registry, found: list[Diagnostic]) -> Sequence[Primitive]:
-    if what in registry.primitives:
-        return [registry.primitives[what]]
-    term = term_of(registry, what)
+def _primitives(name: str, place: Span, registry: Registry, found: list[Diagnostic]) -> Sequence[Primitive]:
+    if name in registry.primitives:
+        return [registry.primitives[name]]
+    term = term_of(registry, name)
     if term is None:
-        hint = did_you_mean(what[:80], [*registry.primitives, *registry.terms])
+        hint = did_you_mean(name[:80], [*registry.primitives, *registry.terms])
         hint = hint or "'lfield capabilities tree' lists all terms"
-        found.append(messages.UNKNOWN_PRIMITIVE.at(place, hint=hint, name=what))
+        found.append(messages.UNKNOWN_PRIMITIVE.at(place, hint=hint, name=name))
         return ()
     below = primitives_below(registry, term.id)
     if not below:

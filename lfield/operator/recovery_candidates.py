@@ -36,23 +36,23 @@ def best_candidate(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]) -> R
     require_no_live_copy(agent, hosts, names)
     found = list(records(agent, hosts))
     _require_none_parked(agent, hosts, names)
-    left = [(place, known) for place, known in found if known.state in ("MOVED", "IN DOUBT")]
+    copies = [(place, known) for place, known in found if known.state in ("MOVED", "IN DOUBT")]
     ended = max((known.generation for _, known in found if known.outcome in TERMINATED), default=0)
-    left = [(place, known) for place, known in left if known.generation > ended]
-    if not left:
+    copies = [(place, known) for place, known in copies if known.generation > ended]
+    if not copies:
         raise UsageError(_nothing_left(agent, found, hosts, names))
-    if len({place.run for place, _ in left}) > 1:
+    if len({place.run for place, _ in copies}) > 1:
         raise UsageError(f"several runs here have a coordinator {agent}: name one with --run")
-    left.sort(key=lambda pair: (pair[1].generation, pair[1].hops, pair[1].sequence))
-    readable = [n for n, (_, known) in enumerate(left) if not known.unreadable]
+    copies.sort(key=lambda pair: (pair[1].generation, pair[1].hops, pair[1].sequence))
+    readable = [n for n, (_, known) in enumerate(copies) if not known.unreadable]
     if not readable:
-        where = ", ".join(names[place] for place, _ in left)
+        where = ", ".join(names[place] for place, _ in copies)
         raise UsageError(f"the copy of {agent} on {where} cannot be read: it cannot be recovered")
-    place, newest = left[readable[-1]]
+    place, newest = copies[readable[-1]]
     above = max(known.generation for _, known in found)
     request = RecoverRequest(agent, newest.generation, newest.sequence, above)
     first, *more = _lines(place, newest, hosts, names)
-    newer = [_newer(names[place], known) for place, known in left[readable[-1] + 1 :]]
+    newer = [_newer(names[place], known) for place, known in copies[readable[-1] + 1 :]]
     return RecoveryCandidate(place, request, [first, *newer, *more])
 
 
@@ -101,7 +101,7 @@ def _nothing_left(
 def _lines(
     place: HostRef, newest: CoordinatorState, hosts: _Hosts, names: Mapping[HostRef, str]
 ) -> list[str]:
-    to = place._replace(host=newest.where)
+    destination = place._replace(host=newest.where)
     lines = [
         f"{newest.agent}, start {newest.generation}: the newest copy is on {names[place]}, as it left for "
         f"{newest.where} after {_hops(newest)} (transfer {newest.sequence})"
@@ -109,8 +109,8 @@ def _lines(
     if newest.detail:
         lines.append(f"  {newest.detail}")
     lines += [f"  {line}" for host, line in _unreachable(hosts, names).items() if host.run == place.run]
-    if to in hosts and hosts[to].linked:
-        lines.append(f"  {names[to]} answers, and does not have it")
+    if destination in hosts and hosts[destination].linked:
+        lines.append(f"  {names[destination]} answers, and does not have it")
     lines.append(
         f"  that call may have started; {newest.agent} loses its result and everything after it, and "
         "gets a RestartException"
@@ -123,10 +123,10 @@ def _unreachable(hosts: _Hosts, names: Mapping[HostRef, str]) -> dict[HostRef, s
     lines: dict[HostRef, str] = {}
     linked = [host for host in hosts.values() if host.linked]
     for place in (place for place, host in hosts.items() if not host.linked):
-        away = min((host.away[place.host] for host in linked if place.host in host.away), default=None)
+        silence = min((host.away[place.host] for host in linked if place.host in host.away), default=None)
         if any(place.host in host.links for host in linked):
             contact = "others are linked with it: it is up"
         else:
-            contact = "no contact yet" if away is None else f"last contact {away:.0f} s ago"
+            contact = "no contact yet" if silence is None else f"last contact {silence:.0f} s ago"
         lines[place] = f"{names[place]} does not answer; {contact}"
     return lines

@@ -144,8 +144,8 @@ class ControlSockets:
     lock: int
 
 
-def run_manifest(mission: Mission, file: Path, here: Iterable[str]) -> RunManifest:
-    """The manifest of a run of this process: the hosts `here` of a mission from a file."""
+def run_manifest(mission: Mission, file: Path, hosts: Iterable[str]) -> RunManifest:
+    """The manifest of a run of this process: some `hosts` of a mission from a file."""
     addresses = mission.team.addresses_by_host
     return RunManifest(
         mission=printable_argument(str(file.absolute())),
@@ -154,7 +154,7 @@ def run_manifest(mission: Mission, file: Path, here: Iterable[str]) -> RunManife
         started=time.time(),
         rest_within=longest_rest(mission.bindings.all),
         addresses=addresses,
-        control_sockets={host: _socket_name(number, host) for number, host in enumerate(here)},
+        control_sockets={host: _socket_name(number, host) for number, host in enumerate(hosts)},
         zenoh=NETWORK.config if any(map(has_zenoh, addresses.values())) else None,
     )
 
@@ -258,26 +258,26 @@ def no_runs_hint() -> str:
 
 
 def _runs_in(base: SearchRoot) -> Iterator[Run]:
-    left, most = _MAX_MANIFEST, _MAX_FOREIGN if base.is_foreign else None
+    remaining, limit = _MAX_MANIFEST, _MAX_FOREIGN if base.is_foreign else None
     if os.geteuid() in base.owners:
         for path in base.paths:
             _remove_abandoned(path)
-    names = ((path, name) for path in base.paths for name in _names_in(path, base.owners, most))
-    for path, name in islice(names, most):
+    names = ((path, name) for path in base.paths for name in _names_in(path, base.owners, limit))
+    for path, name in islice(names, limit):
         folder = path / name
         if not (_ID.fullmatch(name) and _is_locked(folder)):
             continue
         with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            data = read_private(folder / _MANIFEST, left, base.owners)
-            left -= len(data) if base.is_foreign else 0
+            data = read_private(folder / _MANIFEST, remaining, base.owners)
+            remaining -= len(data) if base.is_foreign else 0
             owner = _name_of(folder.lstat().st_uid)
             yield Run(folder, msgspec.json.decode(data, type=RunManifest), owner, base.is_foreign)
 
 
-def _names_in(base: Path, owners: Collection[int], most: int | None = None) -> list[str]:
+def _names_in(base: Path, owners: Collection[int], limit: int | None = None) -> list[str]:
     try:
         with open_private_folder(base, owners) as folder, os.scandir(folder) as found:
-            return sorted(entry.name for entry in islice(found, most))
+            return sorted(entry.name for entry in islice(found, limit))
     except OSError:
         return []
 
@@ -295,8 +295,8 @@ def _is_locked(folder: Path, *, unsure: bool = False) -> bool:
     except OSError:
         return unsure
     try:
-        asked = _LOCK.pack(fcntl.F_RDLCK, 0, 0, 0, 0)
-        kind, *_ = _LOCK.unpack(fcntl.fcntl(note, fcntl.F_OFD_GETLK, asked))
+        query = _LOCK.pack(fcntl.F_RDLCK, 0, 0, 0, 0)
+        kind, *_ = _LOCK.unpack(fcntl.fcntl(note, fcntl.F_OFD_GETLK, query))
         return bool(kind != fcntl.F_UNLCK)
     except OSError:
         return unsure

@@ -92,18 +92,18 @@ class DeviceProgress:
             # Also after the time is up.
             return ""
         if self.problem:
-            wrong = f"NOT CONFIRMED: {self.problem}"
+            text = f"NOT CONFIRMED: {self.problem}"
         elif self.has_host_ended:
-            wrong = "NOT SEEN AT REST: its host has ended before"
+            text = "NOT SEEN AT REST: its host has ended before"
         elif self.activity and not self.has_host_answered:
             return f"NOT SEEN AT REST: it has confirmed its safe state, but {self.activity}"
         else:
-            wrong = f"NOT AT REST after {seconds:.0f} s"
+            text = f"NOT AT REST after {seconds:.0f} s"
             if self.activity != self.last:
-                wrong += f": {self.activity}"
+                text += f": {self.activity}"
         if self.last_contact == -math.inf:
-            return f"{wrong}; last seen: never"
-        return f"{wrong}; last seen {now - self.last_contact:.0f} s ago: {self.last or 'without telemetry'}"
+            return f"{text}; last seen: never"
+        return f"{text}; last seen {now - self.last_contact:.0f} s ago: {self.last or 'without telemetry'}"
 
 
 def _activity(found: DeviceState) -> str:
@@ -165,7 +165,7 @@ class SafeStateProgress:
         """The devices with a problem, each with its last activity."""
         seconds = self._now - self._started_at
         found = [(device, device.verdict(seconds, self._now)) for device in self.devices]
-        return [(device, wrong) for device, wrong in found if wrong]
+        return [(device, verdict) for device, verdict in found if verdict]
 
 
 def _has_changed(device: DeviceProgress, now: float) -> bool:

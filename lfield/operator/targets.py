@@ -124,7 +124,7 @@ def _foreign_targets(
     """The teams of other users; no network address occurs twice."""
     users = dict.fromkeys(run.user for run in runs if run.user)
     own = {user: [run for run in runs if run.user == user] for user in users}
-    return [party for found in own.values() for party in _trusted_targets(found, mapped, set(claimed))]
+    return [target for found in own.values() for target in _trusted_targets(found, mapped, set(claimed))]
 
 
 def _trusted_targets(
@@ -138,7 +138,7 @@ def _trusted_targets(
         for host in run.manifest.control_sockets
         if host not in mapped
     }
-    parties: list[TargetTeam] = []
+    targets: list[TargetTeam] = []
     for run in runs:
         addresses = {}
         for host, known in run.manifest.addresses.items():
@@ -147,16 +147,16 @@ def _trusted_targets(
             if socket or (run.manifest.deployment, host, address) not in claimed:
                 addresses[host] = socket or address
                 claimed.add((run.manifest.deployment, host, address))
-        _merge_into(TargetTeam((run,), addresses), parties)
-    return [party for party in parties if party.addresses]
+        _merge_into(TargetTeam((run,), addresses), targets)
+    return [target for target in targets if target.addresses]
 
 
-def _merge_into(party: TargetTeam, parties: list[TargetTeam]) -> None:
-    for number, other in enumerate(parties):
-        if other.can_join(party):
-            parties[number] = other.joined_with(party)
+def _merge_into(target: TargetTeam, targets: list[TargetTeam]) -> None:
+    for number, other in enumerate(targets):
+        if other.can_join(target):
+            targets[number] = other.joined_with(target)
             return
-    parties.append(party)
+    targets.append(target)
 
 
 def select_runs(runs: Sequence[Run], id: str) -> list[Run]:
@@ -174,47 +174,47 @@ def select_runs(runs: Sequence[Run], id: str) -> list[Run]:
     raise UsageError(f"there is no run {id}; running: {listed([run.id for run in runs])}")
 
 
-def trusted_targets(parties: Sequence[TargetTeam]) -> list[TargetTeam]:
+def trusted_targets(targets: Sequence[TargetTeam]) -> list[TargetTeam]:
     """The teams of trusted runs; all if there is none."""
-    return [party for party in parties if not party.user] or list(parties)
+    return [target for target in targets if not target.user] or list(targets)
 
 
-def single_target(parties: Sequence[TargetTeam]) -> TargetTeam:
+def single_target(targets: Sequence[TargetTeam]) -> TargetTeam:
     """The only team; those of other users count only without a trusted one.
 
     Runs of one mission that run different hosts are one team, also where they name each other's hosts by
     different addresses (localhost and 127.0.0.1, say). Raises UsageError when there are several teams.
     """
-    found = trusted_targets(parties)
+    found = trusted_targets(targets)
     if len(found) > 1 and _are_one_team(found):
         return _merged(found)
     if len(found) > 1:
-        runs = listed([party.id for party in found])
+        runs = listed([target.id for target in found])
         raise UsageError(f"the mission runs here {len(found)} times, as {runs}: pick one with --run")
     return found[0]
 
 
-def _are_one_team(parties: Sequence[TargetTeam]) -> bool:
+def _are_one_team(targets: Sequence[TargetTeam]) -> bool:
     """Whether all runs are of one mission, and no host runs twice."""
-    hosts = [host for party in parties for run in party.runs for host in run.manifest.control_sockets]
-    return len({party.mission for party in parties}) == 1 and len(set(hosts)) == len(hosts)
+    hosts = [host for target in targets for run in target.runs for host in run.manifest.control_sockets]
+    return len({target.mission for target in targets}) == 1 and len(set(hosts)) == len(hosts)
 
 
-def _merged(parties: Sequence[TargetTeam]) -> TargetTeam:
+def _merged(targets: Sequence[TargetTeam]) -> TargetTeam:
     """The runs of a team as one, each host at the control socket of its run."""
     addresses: dict[str, str] = {}
-    for party in reversed(parties):
-        addresses |= party.addresses
-    for party in parties:
-        own = {host for run in party.runs for host in run.manifest.control_sockets}
-        addresses |= {host: address for host, address in party.addresses.items() if host in own}
-    return TargetTeam(tuple(run for party in parties for run in party.runs), addresses)
+    for target in reversed(targets):
+        addresses |= target.addresses
+    for target in targets:
+        own = {host for run in target.runs for host in run.manifest.control_sockets}
+        addresses |= {host: address for host, address in target.addresses.items() if host in own}
+    return TargetTeam(tuple(run for target in targets for run in target.runs), addresses)
 
 
-def display_names(parties: Sequence[TargetTeam]) -> dict[HostRef, str]:
+def display_names(targets: Sequence[TargetTeam]) -> dict[HostRef, str]:
     """The display name of each host: its name, with its run in front when there are several teams."""
-    places = [place for party in parties for place in party.host_refs]
-    alone = len(parties) == 1
+    places = [place for target in targets for place in target.host_refs]
+    alone = len(targets) == 1
     return {
         place: escape_line(place.host if alone or not place.run else f"{place.run}/{place.host}")
         for place in places

@@ -134,8 +134,8 @@ def _registry(own: Path | None, team: Team, resources: Mapping[str, Signature]) 
         Diagnostics(),
     )
     check_against(registry, resources, found)
-    if wrong := [mistake for mistake in found.in_order() if not is_shipped(mistake)]:
-        raise ProgramError(wrong)
+    if mistakes := [mistake for mistake in found.in_order() if not is_shipped(mistake)]:
+        raise ProgramError(mistakes)
     return satisfied(registry, resources)
 
 
@@ -155,7 +155,7 @@ def roster_from_files(
         known.candidate(
             _hops(known, at),
             "",
-            {name: Fact(_value(said)) for name, said in stated.get(known.agent.id, {}).items()},
+            {name: Fact(_value(value)) for name, value in stated.get(known.agent.id, {}).items()},
             {},
             "{0} is not known: the team is not running",
         )
@@ -200,8 +200,8 @@ def _view(
         view = views.get(host, {}).get(agent.id)
         if view is not None:
             return view
-    why = f"its host {agent.host} does not answer" if agent.host in unanswered else ""
-    return DirectoryEntry(agent.id, why, {}, {})
+    reason = f"its host {agent.host} does not answer" if agent.host in unanswered else ""
+    return DirectoryEntry(agent.id, reason, {}, {})
 
 
 def _candidate(registry: Registry, known: AgentProfile, at: str, reported: DirectoryEntry) -> Candidate:
@@ -224,9 +224,9 @@ def _fact(reported: AttributeReading) -> Fact:
     return Fact(_value(reported.value), reported.age, reported.of)
 
 
-def _value(said: float | str | list[str] | tuple[str, ...]) -> Value:
+def _value(value: float | str | list[str] | tuple[str, ...]) -> Value:
     """A value as the registry has it: members are a set."""
-    return frozenset(said) if isinstance(said, list | tuple) else said
+    return frozenset(value) if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True, slots=True)

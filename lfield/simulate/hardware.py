@@ -71,11 +71,11 @@ class Hardware:
         self._watchdog, self._fed = watchdog or self._watchdog, self._timeline.now
 
     def command(
-        self, owner: int, what: str, arguments: tuple[object, ...], seconds: float, *, safe: bool = False
+        self, owner: int, name: str, arguments: tuple[object, ...], seconds: float, *, safe: bool = False
     ) -> None:
         """Execute a command, moving for that long; `safe`: the command leads to a safe state."""
         self.feed()
-        self.record.append(DeviceCommand(self._timeline.now, owner, what, arguments, safe))
+        self.record.append(DeviceCommand(self._timeline.now, owner, name, arguments, safe))
         self._until = self._timeline.now + seconds
 
     @property
@@ -110,8 +110,8 @@ class AnyDriver(Driver):
     def _device(self, binding: DeviceBinding) -> AnyDevice:
         manifest = self.manifests[binding.type]
         kind = type(binding.type, (AnyDevice,), _methods(manifest.device))
-        made: AnyDevice = kind(self, binding, manifest, self.clock, self.reports)
-        return made
+        device: AnyDevice = kind(self, binding, manifest, self.clock, self.reports)
+        return device
 
     async def _open(self) -> None:
         end = self.clock.monotonic() + PATIENCE
@@ -145,8 +145,8 @@ class AnyDriver(Driver):
 class AnyDevice(Device):
     """A device of any type."""
 
-    def __init__(self, driver: AnyDriver, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, driver: AnyDriver, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self._driver, self._hardware = driver, driver.hardware
 
     async def carry_out(self, instruction: Instruction, arguments: Sequence[object]) -> DeviceValue:

@@ -207,7 +207,9 @@ class Fleet:
     @property
     def pages_left(self) -> list[Record]:
         """The disk contents of hosts that are not permanently lost."""
-        return [page for name, disk in self.disks.items() if name not in self.gone for page in disk.pages()]
+        return [
+            record for name, disk in self.disks.items() if name not in self.gone for record in disk.pages()
+        ]
 
     def close(self) -> None:
         """End all processes at once, and free their memory."""
@@ -225,11 +227,11 @@ class Fleet:
         self._known.add(name)
 
     def _start(self, name: str, process: SimulatedProcess) -> None:
-        machine, disk, book = self.machines[name], self.disks[name], ProcessLog(self, name, process)
+        machine, disk, log = self.machines[name], self.disks[name], ProcessLog(self, name, process)
         try:
-            journal = disk.open(machine.clock, book.note) if self.options.keeps else None
+            journal = disk.open(machine.clock, log.note) if self.options.keeps else None
         except JournalError as error:
-            book.note(str(error))
+            log.note(str(error))
             process.exit(error.exit_status)
             return
         options = HostOptions(
@@ -245,7 +247,7 @@ class Fleet:
         if not self.options.keeps:
             self._known.add(name)
         transport = TcpTransport(self.mission.max_block, identify=host_at_address, busy=float)
-        host = Host(self._mission_on(name), name, transport, Logbook(book, book), options)
+        host = Host(self._mission_on(name), name, transport, Logbook(log, log), options)
         life = self.lives[name] = HostLife(process, host, ShutdownSignals(host.clock))
         host.machine.hooks.attach_meter(
             lambda n: process.loop.compute(self.options.slowness * (TURN + n * INSTRUCTION))
@@ -296,16 +298,16 @@ class Fleet:
 
     # --- links ----------------------------------------------------------------------------------------
 
-    def cut(self, one: str, other: str) -> None:
+    def cut(self, host: str, other: str) -> None:
         """Break the connections of two computers with notice, and block their paths until `heal`."""
-        self.network.reset(one, other)
-        self.network.silence(one, other)
-        self.network.silence(other, one)
+        self.network.reset(host, other)
+        self.network.silence(host, other)
+        self.network.silence(other, host)
 
-    def heal(self, one: str, other: str) -> None:
+    def heal(self, host: str, other: str) -> None:
         """Unblock the paths; waiting data is delivered first."""
-        self.network.heal(one, other)
-        self.network.heal(other, one)
+        self.network.heal(host, other)
+        self.network.heal(other, host)
 
     def heal_all(self) -> None:
         """Restore all paths and processes, and start all hosts that did not exit by themselves."""
@@ -322,10 +324,10 @@ def plug_any_hardware(fleet: Fleet, mission: Mission, rng: random.Random) -> Mis
     """The mission with each device replaced by one of this simulation."""
     endpoints: dict[str, str] = {}
     for (host, *_), devices in buses_of(mission).items():
-        made = Hardware(fleet.timeline, random.Random(rng.random()))
+        hardware = Hardware(fleet.timeline, random.Random(rng.random()))
         endpoint = f"virtual:{devices[0].endpoint}"
-        fleet.machines[host].hardware[endpoint] = made
-        fleet.hardware[devices[0].name] = made
+        fleet.machines[host].hardware[endpoint] = hardware
+        fleet.hardware[devices[0].name] = hardware
         endpoints |= {device.name: endpoint for device in devices}
     simulated = {
         name: replace(driver, reference=REFERENCE) for name, driver in mission.drivers.by_driver.items()

@@ -52,19 +52,19 @@ class JournalDisk:
     def open(self, clock: Clock, report: Callable[[str], None]) -> SimulatedJournal:
         """Open the journal for a new process. Raises JournalError on a broken disk."""
         self._check_usable()
-        pages = dict[RecordKey, tuple[JournalEntry, Record]]()
+        records = dict[RecordKey, tuple[JournalEntry, Record]]()
         for key, found in list(self._entries.items()):
             try:
-                pages[key] = found, decode_record(found)
+                records[key] = found, decode_record(found)
             except RecordError as error:
                 del self._entries[key]
                 self.identity = 0
                 if is_promise_lost(found):
                     self._entries.pop(NO_RECORD, None)
                 report(f"{describe_loss(found)}, is damaged in the journal ({error}); it was moved aside")
-        pages = {key: found for key, found in pages.items() if key in self._entries}
+        records = {key: found for key, found in records.items() if key in self._entries}
         self.identity = self.identity or self.rng.getrandbits(63)
-        return SimulatedJournal(self, self.identity, pages, clock)
+        return SimulatedJournal(self, self.identity, records, clock)
 
     def pages(self) -> list[Record]:
         """The contents of the disk after a crash now."""
@@ -85,10 +85,10 @@ class JournalDisk:
         self._check_usable()
 
     def _put(self, changes: Sequence[Change], now: float) -> None:
-        for pages, keys in changes:
-            for page in pages:
-                made = encode_record(page, now)
-                self._entries[made.key] = made
+        for records, keys in changes:
+            for record in records:
+                entry = encode_record(record, now)
+                self._entries[entry.key] = entry
             for key in keys:
                 self._entries.pop(key, None)
 
@@ -104,10 +104,10 @@ class SimulatedJournal(JournalBase):
         self,
         disk: JournalDisk,
         identity: int,
-        pages: dict[RecordKey, tuple[JournalEntry, Record]],
+        records: dict[RecordKey, tuple[JournalEntry, Record]],
         clock: Clock,
     ) -> None:
-        super().__init__(pages, self._commit, clock)
+        super().__init__(records, self._commit, clock)
         self._disk, self.identity, self._clock = disk, identity, clock
         self.trouble = disk.trouble()
         self._closed = False

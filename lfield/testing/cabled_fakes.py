@@ -68,9 +68,9 @@ class CabledFake:
 
     def _has_failed(self, cause: BaseException) -> None:
         problem = f"the simulated device of {self.name} has failed: {type(cause).__name__}: {cause}"
-        trouble = MissionTestError(problem)
-        trouble.__cause__ = cause
-        self.trouble.append(trouble)
+        failure = MissionTestError(problem)
+        failure.__cause__ = cause
+        self.trouble.append(failure)
 
 
 K = TypeVar("K")

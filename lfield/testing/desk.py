@@ -70,18 +70,18 @@ class DeskFake:
 
     def fault(self, *settings: str) -> None:
         """Sets faults, `NAME[@DEVICE]=VALUE`. Raises MissionTestError."""
-        wrong: list[ValueError] = []
+        rejections: list[ValueError] = []
 
         def apply() -> None:
             try:
                 self._fake.faults.apply(settings)
             except ValueError as error:
-                wrong.append(error)
+                rejections.append(error)
 
         with _outside_story():
             self._process.loop.enter(apply)
-        if wrong:
-            raise MissionTestError(f"the simulated device '{self._fake.kind}': {wrong[0]}")
+        if rejections:
+            raise MissionTestError(f"the simulated device '{self._fake.kind}': {rejections[0]}")
 
     def facts(self, device: str = "") -> Mapping[str, str | int | bool]:
         """True values of a device, by its id or of the only one, independent of the wire."""

@@ -62,5 +62,5 @@ class Keyring:
 
     def revocation_list(self, number: int, *serials: str, at: float | None = None) -> bytes:
         """The revocation list of that number with these certificates; issued now, or at a time."""
-        made = time.time() if at is None else at
-        return self._authority.revocation_list(RevocationList(number, frozenset(serials), made))
+        issued_at = time.time() if at is None else at
+        return self._authority.revocation_list(RevocationList(number, frozenset(serials), issued_at))

@@ -86,8 +86,8 @@ def _draw(request: pytest.FixtureRequest, team: MissionTeam, which: str) -> None
 def _name(request: pytest.FixtureRequest) -> str:
     """The file name of a test's picture; equal names are numbered."""
     name = _plain(request.node)
-    same = [item.nodeid for item in request.session.items if _plain(item) == name]
-    return name if len(same) == 1 else f"{name}~{same.index(request.node.nodeid) + 1}"
+    same_named = [item.nodeid for item in request.session.items if _plain(item) == name]
+    return name if len(same_named) == 1 else f"{name}~{same_named.index(request.node.nodeid) + 1}"
 
 
 def _plain(item: pytest.Item) -> str:

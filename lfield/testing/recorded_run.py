@@ -60,6 +60,6 @@ def _run(fleet: Fleet, fakes: MissionFakes, seconds: float, on_progress: Callabl
     """Runs until all hosts have ended, and raises an exception of a simulated device."""
     while fleet.now < seconds and (fleet.lives or not fleet.left):
         fleet.run(min(1.0, seconds - fleet.now))
-        for trouble in fakes.trouble:
-            raise trouble
+        for failure in fakes.trouble:
+            raise failure
         on_progress(fleet.now)

@@ -103,12 +103,12 @@ class Pair:
 
     def connect(self) -> tuple[Link, Recorder]:
         """Opens another link to the listener; returns once both ends exist."""
-        near, number = Recorder(), len(self.accepted)
-        link = self.bench.wait(self.bench.transport.connect(self.listener.address, near))
+        recorder, number = Recorder(), len(self.accepted)
+        link = self.bench.wait(self.bench.transport.connect(self.listener.address, recorder))
         self.bench.until(lambda: len(self.accepted) > number)
         if self._role:
             link.accept_role(self._role)
-        return link, near
+        return link, recorder
 
     def _on_link(self, link: Link) -> LinkHandler:
         handler = Recorder(self._refuse)

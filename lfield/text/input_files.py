@@ -28,39 +28,39 @@ def require_file(path: Path) -> None:
         raise InputFileError(str(path), error_reason(error)) from None
 
 
-def read_bytes(path: Path, most: int) -> bytes:
-    """The bytes of a file. Raises InputFileError, also for more than `most` bytes."""
+def read_bytes(path: Path, limit: int) -> bytes:
+    """The bytes of a file. Raises InputFileError, also for more than `limit` bytes."""
     try:
-        return read_within(path, most)
+        return read_within(path, limit)
     except (OSError, ValueError) as error:
         raise InputFileError(str(path), error_reason(error)) from None
 
 
-def read_within(path: Path, most: int) -> bytes:
+def read_within(path: Path, limit: int) -> bytes:
     """The bytes of a file, with system errors: OSError (EFBIG above the limit), ValueError for an invalid
     file name.
     """
-    data = read_head(path, most + 1)
-    if len(data) > most:
+    data = read_head(path, limit + 1)
+    if len(data) > limit:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
     return data
 
 
-def read_head(path: Path, most: int) -> bytes:
-    """At most `most` bytes from the start of a file, with system errors."""
+def read_head(path: Path, limit: int) -> bytes:
+    """At most `limit` bytes from the start of a file, with system errors."""
     with path.open("rb") as stream:
-        return read_up_to(stream, most)
+        return read_up_to(stream, limit)
 
 
-def read_up_to(stream: BinaryIO, most: int) -> bytes:
-    """At most `most` remaining bytes of a stream.
+def read_up_to(stream: BinaryIO, limit: int) -> bytes:
+    """At most `limit` remaining bytes of a stream.
 
-    Python would allocate memory for a single read of `most` bytes at once.
+    Python would allocate memory for a single read of `limit` bytes at once.
     """
     pieces: list[bytes] = []
-    while most > 0 and (piece := stream.read(min(most, _CHUNK))):
+    while limit > 0 and (piece := stream.read(min(limit, _CHUNK))):
         pieces.append(piece)
-        most -= len(piece)
+        limit -= len(piece)
     return b"".join(pieces)
 
 

@@ -178,19 +178,19 @@ class NonBlockingOutput(io.TextIOBase):
 
 @contextmanager
 def nonblocking_output(
-    who: str = "", *, content: str = "program output", drain_timeout: float | None = DRAIN_TIMEOUT
+    prefix: str = "", *, content: str = "program output", drain_timeout: float | None = DRAIN_TIMEOUT
 ) -> Iterator[None]:
     """Make stdout and stderr non-blocking in this context, and wait for pending output at its end.
 
     The wait is at most `drain_timeout` seconds; with None, until all output is read, or Ctrl-C. Errors of
-    stdout, which carries `content`, are written to stderr with the prefix `who`. Streams that are not read at
+    stdout, which carries `content`, are written to stderr after the `prefix`. Streams that are not read at
     the end stay non-blocking, so that the last lines of the process do not block it.
     """
     before = sys.stdout, sys.stderr
 
     def report(text: str) -> None:
         if sys.stderr is not None:
-            sys.stderr.write(f"{who}{text}\n")
+            sys.stderr.write(f"{prefix}{text}\n")
 
     log = _nonblocking_for(sys.stderr)
     out = _nonblocking_for(

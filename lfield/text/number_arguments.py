@@ -6,54 +6,54 @@ import argparse
 from collections.abc import Callable
 
 
-def real_between(least: float, most: float, of: str = "") -> Callable[[str], float]:
-    """A type of argparse: a number from `least` to `most`; `of` is its unit, as in `seconds`."""
+def real_between(minimum: float, maximum: float, unit: str = "") -> Callable[[str], float]:
+    """A type of argparse: a number from `minimum` to `maximum`; `unit` is its unit, as in `seconds`."""
 
     def read(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not least <= value <= most:
-            raise _not_a_number(f"a number{_of(of)} from {least:.10g} to {most:.10g}", text)
+        if not minimum <= value <= maximum:
+            raise _not_a_number(f"a number{_of_unit(unit)} from {minimum:.10g} to {maximum:.10g}", text)
         return value
 
     return read
 
 
-def real_above_0(most: float, of: str = "") -> Callable[[str], float]:
-    """A type of argparse: a number above 0, and at most `most`."""
+def real_above_0(maximum: float, unit: str = "") -> Callable[[str], float]:
+    """A type of argparse: a number above 0, and at most `maximum`."""
 
     def read(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = 0.0
-        if not 0.0 < value <= most:
-            raise _not_a_number(f"a number{_of(of)} above 0 and at most {most:.10g}", text)
+        if not 0.0 < value <= maximum:
+            raise _not_a_number(f"a number{_of_unit(unit)} above 0 and at most {maximum:.10g}", text)
         return value
 
     return read
 
 
-def whole_between(least: int, most: int, of: str = "") -> Callable[[str], int]:
-    """A type of argparse: a whole number from `least` to `most`."""
+def whole_between(minimum: int, maximum: int, unit: str = "") -> Callable[[str], int]:
+    """A type of argparse: a whole number from `minimum` to `maximum`."""
 
     def read(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
-            value = least - 1
-        if not least <= value <= most:
-            raise _not_a_number(f"a whole number{_of(of)} from {least} to {most}", text)
+            value = minimum - 1
+        if not minimum <= value <= maximum:
+            raise _not_a_number(f"a whole number{_of_unit(unit)} from {minimum} to {maximum}", text)
         return value
 
     return read
 
 
-def _of(of: str) -> str:
-    return f" of {of}" if of else ""
+def _of_unit(unit: str) -> str:
+    return f" of {unit}" if unit else ""
 
 
-def _not_a_number(what: str, text: str) -> argparse.ArgumentTypeError:
-    return argparse.ArgumentTypeError(f"must be {what}, not '{text}'")
+def _not_a_number(expected: str, text: str) -> argparse.ArgumentTypeError:
+    return argparse.ArgumentTypeError(f"must be {expected}, not '{text}'")

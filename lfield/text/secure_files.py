@@ -131,9 +131,9 @@ def open_private_folder(path: Path, owners: Collection[int] = ()) -> Iterator[in
         os.close(folder)
 
 
-def read_private(path: Path, most: int, owners: Collection[int] = (), *, secret: bool = False) -> bytes:
+def read_private(path: Path, limit: int, owners: Collection[int] = (), *, secret: bool = False) -> bytes:
     """The contents of a file of `write_private`; raises OSError, also if a user other than `owners` could
-    have written it (see `open_private_folder`), if it is larger than `most`, or if it is `secret` and other
+    have written it (see `open_private_folder`), if it is larger than `limit`, or if it is `secret` and other
     users may read it.
     """
     with open_private_folder(path.parent, owners) as folder:
@@ -148,8 +148,8 @@ def read_private(path: Path, most: int, owners: Collection[int] = (), *, secret:
             raise PermissionError(
                 errno.EPERM, f"it is secret, and others may read it: run 'chmod 600 {path}'", str(path)
             )
-        data = read_up_to(file, most + 1)
-    if len(data) > most:
+        data = read_up_to(file, limit + 1)
+    if len(data) > limit:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return data
 

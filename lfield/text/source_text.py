@@ -86,14 +86,14 @@ class Diagnostic(Struct, frozen=True):
         line, column = self.span.source.line_column(self.span.start)
         text, before = _window(self.span.source, line, column - 1)
         # Control characters of terminals are shown as dots, one for one.
-        shown = "".join(ch if ch.isprintable() or ch == "\t" else "·" for ch in text)
+        visible_text = "".join(ch if ch.isprintable() or ch == "\t" else "·" for ch in text)
         # The margin keeps tabs so that the caret is under the right character.
         margin = "".join("\t" if ch == "\t" else " " for ch in text[:before])
         width = max(1, min(self.span.end - self.span.start, len(text) - before))
         position = f"{self.span.source.name}:{line}:{column}"
         lines = [
             escape_line(f"{position}: {self.severity}[{self.code}]: {self.message}"),
-            f"    {shown}",
+            f"    {visible_text}",
             f"    {margin}^{'~' * (width - 1)}",
         ]
         if self.hint:

@@ -56,7 +56,7 @@ def similar(name: str, known: Iterable[str]) -> list[str]:
         return []
     names = list(known)[:MAX_NAMES]
     parts = _name_parts(name)
-    sharing = [one for one in names if parts & _name_parts(one)]
+    sharing = [candidate for candidate in names if parts & _name_parts(candidate)]
     return get_close_matches(name, sharing, MAX_SIMILAR, 0.0) or get_close_matches(
         name, names, MAX_SIMILAR, 0.5
     )
@@ -71,8 +71,8 @@ def choice(name: str, known: Iterable[str], intro: str) -> str:
     names = list(known)
     if len(names) <= MAX_LISTED:
         return f"{intro} {listed(names)}"
-    if near := similar(name, names):
-        return f"similar names: {listed(near)}"
+    if similar_names := similar(name, names):
+        return f"similar names: {listed(similar_names)}"
     return f"{intro} {', '.join(names[:MAX_LISTED])}, ..."
 
 

@@ -54,9 +54,9 @@ def printable_argument(argument: str) -> str:
     return _HALVES.sub(lambda half: _escaped(half[0]), argument)
 
 
-def truncate(text: str, most: int) -> str:
-    """The text cut to `most` characters, the last one is `…` if the text is longer."""
-    return text if len(text) <= most else f"{text[: most - 1]}…"
+def truncate(text: str, limit: int) -> str:
+    """The text cut to `limit` characters, the last one is `…` if the text is longer."""
+    return text if len(text) <= limit else f"{text[: limit - 1]}…"
 
 
 class EscapingStream:

@@ -25,11 +25,11 @@ def value_text(value: ShownValue) -> str:
             return f"({' '.join(value_text(part) for part in value)})"
 
 
-def telemetry_text(values: Mapping[str, ShownValue | None], most: int = MAX_SHOWN) -> str:
+def telemetry_text(values: Mapping[str, ShownValue | None], limit: int = MAX_SHOWN) -> str:
     """The first quantities that have a value, and the number of others: `armed yes, mode LAND`."""
     known = [f"{name} {value_text(value)}" for name, value in values.items() if value is not None]
-    more = [f"and {len(known) - most} more"] if len(known) > most else []
-    return ", ".join([*known[:most], *more])
+    more = [f"and {len(known) - limit} more"] if len(known) > limit else []
+    return ", ".join([*known[:limit], *more])
 
 
 def duration_text(seconds: float) -> str:

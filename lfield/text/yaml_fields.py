@@ -19,13 +19,13 @@ class YamlFields:
     type, Y113 a value out of range. A method that finds an error returns its default.
     """
 
-    def __init__(self, node: YamlNode, found: Diagnostics, what: str) -> None:
-        self.span, self.what, self._found = node.span, what, found
+    def __init__(self, node: YamlNode, found: Diagnostics, subject: str) -> None:
+        self.span, self.what, self._found = node.span, subject, found
         self._known: set[str] = set()
         self._entries = node.entries if isinstance(node, YamlMapping) else {}
         # An empty section (`devices:` without contents) is read as an empty mapping.
         if not isinstance(node, YamlMapping) and not (isinstance(node, YamlScalar) and node.value is None):
-            self.report("Y112", f"{what} must be a mapping, not {describe(node)}", node.span)
+            self.report("Y112", f"{subject} must be a mapping, not {describe(node)}", node.span)
 
     def report(self, code: str, message: str, span: Span, hint: str = "") -> None:
         """Add an error."""

@@ -95,7 +95,7 @@ NOTHING: Mapping[str, str] = {}
 
 
 class AgentDirectory:
-    """The agents of a mission in the directory of the host `here`; `incarnation` identifies its run, not the
+    """The agents of a mission in the directory of one `host`; `incarnation` identifies its run, not the
     next.
 
     Implements `offer.Team`. Only agents whose type is a provider of the registry are in it. `pose` is the
@@ -107,17 +107,17 @@ class AgentDirectory:
         self,
         registry: Registry,
         agents: Sequence[AgentIdentity],
-        here: str,
+        host: str,
         links: ContactTimes,
         clock: Clock,
         incarnation: int = 1,
         pose: Position | None = None,
     ) -> None:
         self._pose = pose
-        self._registry, self._here, self._links, self._clock = registry, here, links, clock
+        self._registry, self._own_host, self._links, self._clock = registry, host, links, clock
         self._agents: dict[str, AgentIdentity] = {a.id: a for a in agents if a.type in registry.providers}
         #: The agents of this host, whose conditions are set by `set_own`.
-        self.own_agents = [agent.id for agent in self._agents.values() if agent.host == here]
+        self.own_agents = [agent.id for agent in self._agents.values() if agent.host == host]
         self._by_type: dict[str, list[AgentIdentity]] = {}
         for agent in self._agents.values():
             self._by_type.setdefault(agent.type, []).append(agent)
@@ -130,7 +130,7 @@ class AgentDirectory:
         self._replacements: dict[str, Callable[[AgentCondition], AgentCondition]] = {}
         self._cache: dict[str, _CachedCandidate] = {}
         self._announcer = DeltaEncoder(registry.attributes, incarnation)
-        self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != here}
+        self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != host}
 
     # --- this host's agents ---------------------------------------------------------------------------
 
@@ -167,14 +167,14 @@ class AgentDirectory:
 
     # --- the other hosts ------------------------------------------------------------------------------
 
-    def on_link_up(self, host: str, life: int) -> None:
+    def on_link_up(self, host: str, incarnation: int) -> None:
         """Record a link to a host; its values are current again after its full state has arrived."""
         remote = self._remotes.get(host)
         if remote is None:
             return
         self._is_out_of_sync(remote)
-        if remote.incarnation != life:
-            self._remotes[host] = _Remote(life)
+        if remote.incarnation != incarnation:
+            self._remotes[host] = _Remote(incarnation)
 
     def on_link_down(self, host: str) -> None:
         """Record the loss of the link to a host."""
@@ -206,7 +206,7 @@ class AgentDirectory:
 
     def here(self) -> Position | None:
         """The position of this host: that of the first of its agents with a known position, else its pose."""
-        now, state = self._clock.monotonic(), self._host_state(self._here)
+        now, state = self._clock.monotonic(), self._host_state(self._own_host)
         own = (self._candidate(self._agents[agent], state, now) for agent in self.own_agents)
         return location_of(own, self._registry.attributes, self._pose)
 
@@ -225,7 +225,7 @@ class AgentDirectory:
         return found
 
     def _host_state(self, host: str) -> _HostState:
-        if host == self._here:
+        if host == self._own_host:
             return _HostState(self._own_status)
         remote = self._remotes[host]
         contact = self._links.last_contact(host) if remote.is_in_sync else None
@@ -233,20 +233,20 @@ class AgentDirectory:
         return _HostState(remote.conditions, self._links.down_since.get(host), kept_until, 1)
 
     def _candidate(self, agent: AgentIdentity, state: _HostState, now: float) -> Candidate:
-        condition, away = state.conditions.get(agent.id, UNCHANGED), state.down_since
+        condition, down_since = state.conditions.get(agent.id, UNCHANGED), state.down_since
         own = condition.reserved is not None and condition.reserved.holder == self.asker
         barred = NOTHING if self.barred is None else self.barred(self.asker, agent.id)
-        shown = self._cache.get(agent.id)
+        cached = self._cache.get(agent.id)
         if (
-            shown is None
-            or shown.condition is not condition
-            or (shown.down_since, shown.own, shown.barred) != (away, own, barred)
-            or now >= shown.until
+            cached is None
+            or cached.condition is not condition
+            or (cached.down_since, cached.own, cached.barred) != (down_since, own, barred)
+            or now >= cached.until
         ):
-            shown = self._cache[agent.id] = self._make_candidate(
+            cached = self._cache[agent.id] = self._make_candidate(
                 agent, condition, state, now, barred, own=own
             )
-        return shown.candidate
+        return cached.candidate
 
     def _make_candidate(
         self,
@@ -258,20 +258,22 @@ class AgentDirectory:
         *,
         own: bool,
     ) -> _CachedCandidate:
-        known, reported, away = self._profiles[agent.id], {}, state.down_since
-        trouble = condition.trouble if away is None else Unavailability("unreachable", away)
+        known, reported, down_since = self._profiles[agent.id], {}, state.down_since
+        unavailability = (
+            condition.trouble if down_since is None else Unavailability("unreachable", down_since)
+        )
         if condition.samples:
             reported = _with_ages(condition.samples, state.fresh_until, now)
-        why = trouble or (None if own else condition.reserved)
-        refusal = why.sentence(now) if why else ""
+        reason = unavailability or (None if own else condition.reserved)
+        refusal = reason.sentence(now) if reason else ""
         candidate = known.candidate(
             state.hops, refusal, reported, condition.unknown, "{1} has not reported {0} yet"
         )
         if barred:
             candidate = replace(candidate, barred=barred)
-        passing = why or (reported and known.measured)
+        passing = reason or (reported and known.measured)
         return _CachedCandidate(
-            candidate, condition, away, own, barred, now + ANSWER_REUSE_SECONDS if passing else math.inf
+            candidate, condition, down_since, own, barred, now + ANSWER_REUSE_SECONDS if passing else math.inf
         )
 
 

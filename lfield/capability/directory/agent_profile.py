@@ -60,7 +60,7 @@ class AgentProfile(Struct, frozen=True):
             reported = {name: fact for name, fact in reported.items() if name not in self.stated}
         if unknown:
             # The type may have usual values of attributes that are not measured.
-            unknown = {name: why for name, why in unknown.items() if name in self.measured}
+            unknown = {name: reason for name, reason in unknown.items() if name in self.measured}
         lacking = [name for name in self.measured if name not in reported and name not in unknown]
         if lacking:
             unknown = {**{name: unreported.format(name, self.agent.host) for name in lacking}, **unknown}

@@ -75,7 +75,7 @@ class AgentCondition(Struct, frozen=True, gc=False):
 
     def updated(self, change: AgentCondition) -> AgentCondition:
         samples = {name: s for name, s in self.samples.items() if name not in change.unknown}
-        unknown = {name: why for name, why in self.unknown.items() if name not in change.samples}
+        unknown = {name: reason for name, reason in self.unknown.items() if name not in change.samples}
         return AgentCondition(
             change.trouble, {**samples, **change.samples}, {**unknown, **change.unknown}, change.reserved
         )
@@ -132,7 +132,7 @@ class DeltaEncoder:
             for name, sample in now.samples.items()
             if self._differs(sent.samples.get(name), marked := self._marked(name, sample), name)
         }
-        unknown = {name: why for name, why in now.unknown.items() if sent.unknown.get(name) != why}
+        unknown = {name: reason for name, reason in now.unknown.items() if sent.unknown.get(name) != reason}
         if (
             samples
             or unknown

@@ -32,7 +32,7 @@ class Assembly:
         self.rule = rule
         self._ranking = ranking
         self._needs = list(rule.needs)
-        self._way = ways.composed(rule.name)
+        self._field = ways.composed(rule.name)
         self._fields = [ways.part(rule.name, need) for need in rule.needs]
         self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
         self._distinct = frozenset(self._needs.index(need) for need in rule.distinct)
@@ -44,9 +44,9 @@ class Assembly:
         ]
         self.pushed_down = lru_cache(CACHE_SIZE)(self._push_down)
 
-    def _push_down(self, wishes: tuple[Expression, ...]) -> list[PushedDown]:
+    def _push_down(self, conditions: tuple[Expression, ...]) -> list[PushedDown]:
         """The conditions of the rule and the query, moved to the parts."""
-        return push_down(self.rule, wishes)
+        return push_down(self.rule, conditions)
 
     def _place(self, name: str) -> tuple[int, str]:
         """The part, by number, and the attribute of `need.attribute`."""
@@ -70,15 +70,17 @@ class Assembly:
 
     def conflicts(self, parts: Sequence[Plan]) -> tuple[str, ...]:
         """The reasons why the parts do not fit together; () when they do."""
-        facts, why = self._facts(parts), self._why(parts)
-        found = [reason for condition in self.rule.where for reason in failure_reasons(condition, facts, why)]
+        facts, reason_of = self._facts(parts), self._unknown_reasons(parts)
+        found = [
+            reason for condition in self.rule.where for reason in failure_reasons(condition, facts, reason_of)
+        ]
         return (*found, *self._shared(parts))
 
     def _shared(self, parts: Sequence[Plan]) -> Iterator[str]:
         """The parts that must be distinct and have an agent in common."""
-        for one, other in combinations(sorted(self._distinct), 2):
-            if both := parts[one].agents & parts[other].agents:
-                yield f"{self._needs[one]} and {self._needs[other]} are both {listed(sorted(both))}"
+        for first, second in combinations(sorted(self._distinct), 2):
+            if both := parts[first].agents & parts[second].agents:
+                yield f"{self._needs[first]} and {self._needs[second]} are both {listed(sorted(both))}"
 
     def _facts(self, parts: Sequence[Plan]) -> dict[str, Value]:
         """The facts that the rule's expressions use: of the parts, and of the composition."""
@@ -97,8 +99,8 @@ class Assembly:
         values = {name: facts[name] for name, _, _ in self._attributes if name in facts}
         values["agent"] = _joined([part.values["agent"] for part in parts])
         values["robot"] = values["host"] = _joined([part.values["host"] for part in parts])
-        why = self._why(parts)
-        unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
+        reason_of = self._unknown_reasons(parts)
+        unknown = {name: reason_of(name) for name, _, _ in self._attributes if name not in facts}
         cost = self.cost([part.cost for part in parts])
         rank = (cost, 1, (self.rule.name,), tuple(part.rank for part in parts))
         return Plan(self._offer, (parts, facts), rank, values, unknown, self.rule.name)
@@ -114,7 +116,7 @@ class Assembly:
         return Offer(
             rule.serves,
             "composed",
-            self._way,
+            self._field,
             _listed(offer.agent for offer in offers),
             _listed(offer.host for offer in offers),
             plan.cost,
@@ -128,23 +130,25 @@ class Assembly:
         """A value of the whole: as old as its oldest source, and as reliable as the least reliable."""
         places = [self._place(name) for name in inputs]
         found = [fact for index, name in places if (fact := offers[index].facts.get(name)) is not None]
-        least: Provenance = next((of for of in _SURER if any(fact.of == of for fact in found)), "stated")
-        return Fact(value, max((fact.age for fact in found), default=0.0), least)
+        weakest: Provenance = next(
+            (provenance for provenance in _SURER if any(fact.of == provenance for fact in found)), "stated"
+        )
+        return Fact(value, max((fact.age for fact in found), default=0.0), weakest)
 
-    def _why(self, parts: Sequence[Plan]) -> Callable[[str], str]:
+    def _unknown_reasons(self, parts: Sequence[Plan]) -> Callable[[str], str]:
         """The reason why an attribute of a part, or of the whole, has no value."""
 
-        def why(name: str) -> str:
+        def reason_of(name: str) -> str:
             if "." not in name:
                 facts = self._facts(parts)
                 lacking = [n for n in fact_names(self.rule.attributes[name]) if n not in facts]
-                return ", ".join([f"{name} is not known", *dict.fromkeys(map(why, lacking))])
+                return ", ".join([f"{name} is not known", *dict.fromkeys(map(reason_of, lacking))])
             index, attribute = self._place(name)
             if attribute in POSITION:
                 return f"the position of {self._needs[index]} is not known{_in_part(parts[index])}"
             return f"of {self._needs[index]}, {parts[index].unknown_reason(attribute)}"
 
-        return why
+        return reason_of
 
 
 def _in_part(part: Plan) -> str:

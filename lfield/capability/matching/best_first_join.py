@@ -24,26 +24,26 @@ class PlanStream:
     """Plans that are created on first use and cached; the best first."""
 
     def __init__(self, plans: Iterable[Plan]) -> None:
-        self._rest = iter(plans)
-        self._made: list[Plan] = []
+        self._remaining = iter(plans)
+        self._computed: list[Plan] = []
 
     def at(self, index: int) -> Plan | None:
         """The plan with that number, or None after the last one."""
-        while len(self._made) <= index:
-            plan = next(self._rest, None)
+        while len(self._computed) <= index:
+            plan = next(self._remaining, None)
             if plan is None:
                 return None
-            self._made.append(plan)
-        return self._made[index]
+            self._computed.append(plan)
+        return self._computed[index]
 
     def all_of(self, first: int, count: int) -> list[Plan]:
         """A slice of the plans made so far."""
-        return self._made[first : first + count]
+        return self._computed[first : first + count]
 
     def all(self) -> list[Plan]:
         """All plans."""
-        self._made.extend(self._rest)
-        return self._made
+        self._computed.extend(self._remaining)
+        return self._computed
 
 
 class SearchBudget(Struct):
@@ -94,8 +94,8 @@ class BestFirstJoin:
         self._numbers = count()
         if joins:
             self._reduce()
-        self._least = [part.at(0) for part in self._parts]
-        self._order = self._in_order() if all(self._least) else []
+        self._cheapest = [part.at(0) for part in self._parts]
+        self._order = self._in_order() if all(self._cheapest) else []
         self._checks = [self._due(checks, level) for level in range(len(self._order))]
         self._lookups = [self._lookup(level) for level in range(len(self._order))]
 
@@ -141,7 +141,7 @@ class BestFirstJoin:
 
     def _bound(self, numbers: Sequence[int], chosen: Sequence[Plan]) -> float:
         """The least cost of a combination that begins with these parts."""
-        costs = [0.0 if plan is None else plan.cost for plan in self._least]
+        costs = [0.0 if plan is None else plan.cost for plan in self._cheapest]
         for part, plan in zip(self._order, chosen, strict=False):
             costs[part] = plan.cost
         if self._distinct and len(chosen) < len(self._order):
@@ -187,12 +187,12 @@ class BestFirstJoin:
 
     def _in_order(self) -> list[int]:
         """The parts as they are chosen: those that are joined to one another follow each other."""
-        rest = list(range(len(self._parts)))
+        remaining = list(range(len(self._parts)))
         found: list[int] = []
-        while rest:
-            tied = [part for part in rest if any(_ties(join, part, found) for join in self._joins)]
-            part = (tied or rest)[0]
-            rest.remove(part)
+        while remaining:
+            tied = [part for part in remaining if any(_ties(join, part, found) for join in self._joins)]
+            part = (tied or remaining)[0]
+            remaining.remove(part)
             found.append(part)
         return found
 
@@ -213,11 +213,11 @@ class BestFirstJoin:
         found = []
         for join in self._joins:
             if _ties(join, part, before):
-                left = join.left == part
+                is_left = join.left == part
                 own, judge = (
-                    (join.left_value, join.right_value) if left else (join.right_value, join.left_value)
+                    (join.left_value, join.right_value) if is_left else (join.right_value, join.left_value)
                 )
-                other = join.right if left else join.left
+                other = join.right if is_left else join.left
                 found.append((before.index(other), judge, _index(self._parts[part].all(), own)))
         return found
 
@@ -241,11 +241,11 @@ class BestFirstJoin:
                     (join.left, join.left_value, join.right, join.right_value),
                     (join.right, join.right_value, join.left, join.left_value),
                 ):
-                    there = {v for plan in self._parts[other].all() for v in _members(value(plan.values))}
+                    values = {v for plan in self._parts[other].all() for v in _members(value(plan.values))}
                     plans = self._parts[part].all()
-                    kept = [plan for plan in plans if not there.isdisjoint(_members(own(plan.values)))]
-                    if len(kept) < len(plans):
-                        self._parts[part] = PlanStream(kept)
+                    joinable = [plan for plan in plans if not values.isdisjoint(_members(own(plan.values)))]
+                    if len(joinable) < len(plans):
+                        self._parts[part] = PlanStream(joinable)
                         changed = True
 
 

@@ -237,38 +237,38 @@ class _Checker:
         self,
         operands: list[condition_tree.ConditionExpr],
         expected: ValueKind,
-        what: str,
+        operator: str,
         *,
         is_alike: bool = True,
     ) -> ValueKind:
         """The required kind of all operands; numbers that are alike have the same unit."""
-        good = True
+        is_valid = True
         kinds = list[ValueKind]()
         for operand in operands:
             kind = self.kind(operand)
             kinds.append(kind)
-            good = good and kind.sort == expected.sort
+            is_valid = is_valid and kind.sort == expected.sort
             if kind.sort not in (expected.sort, "nothing"):
                 need = "numbers" if expected is _NUMBER else "booleans"
-                self.report(operand.span, f"'{what}' takes {need}; this is {_sort_text(kind.sort)}")
-        if not good:
+                self.report(operand.span, f"'{operator}' takes {need}; this is {_sort_text(kind.sort)}")
+        if not is_valid:
             return _NOTHING
         if expected is not _NUMBER or not is_alike:
             return expected
-        return ValueKind("number", unit=self._common_unit(operands, kinds, what, expected.unit))
+        return ValueKind("number", unit=self._common_unit(operands, kinds, operator, expected.unit))
 
     def _common_unit(
         self,
         operands: Sequence[condition_tree.ConditionExpr],
         kinds: Sequence[ValueKind],
-        what: str,
+        operator: str,
         needed: str | None = None,
     ) -> str | None:
         """The unit of numbers that are combined; units count in queries with parameters."""
         if self._scope.parameters is None:
             return None
         pairs = [(operand, kind.unit) for operand, kind in zip(operands, kinds, strict=True)]
-        return self.units.common_unit(pairs, what, needed)
+        return self.units.common_unit(pairs, operator, needed)
 
     def _equality(self, tree: condition_tree.ConditionBinary) -> ValueKind:
         left = self._or_member(tree.left, tree.right, lambda text: setattr(tree, "left", text))
@@ -330,9 +330,9 @@ class _Checker:
         if name not in FUNCTIONS:
             hint = did_you_mean(name, [*FUNCTIONS, "distance"]) or "the functions are min, max and abs"
             return self.report(tree.function.span, f"there is no function '{name}' here", hint)
-        least, most = FUNCTIONS[name]
-        if not least <= len(tree.arguments) <= most:
-            count = "1 argument" if least == most else f"{least} to {most} arguments"
+        minimum, maximum = FUNCTIONS[name]
+        if not minimum <= len(tree.arguments) <= maximum:
+            count = "1 argument" if minimum == maximum else f"{minimum} to {maximum} arguments"
             return self.report(tree.span, f"{name}() takes {count}, not {len(tree.arguments)}")
         return self._all(tree.arguments, _NUMBER, f"{name}()")
 

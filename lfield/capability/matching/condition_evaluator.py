@@ -242,13 +242,13 @@ def _real(value: Value) -> float:
     return float(value)
 
 
-def _distance(one: str, other: str) -> Judge:
-    axes = [(f"{one}.{axis}", f"{other}.{axis}") for axis in POSITION]
+def _distance(point: str, other: str) -> Judge:
+    axes = [(f"{point}.{axis}", f"{other}.{axis}") for axis in POSITION]
 
     def judge(facts: Facts) -> float | None:
         squares = 0.0
-        for here, there in axes:
-            first, second = facts.get(here), facts.get(there)
+        for own, target in axes:
+            first, second = facts.get(own), facts.get(target)
             if first is None or second is None:
                 return None
             apart = _real(first) - _real(second)
@@ -263,8 +263,8 @@ def _distance_to(place: list[Judge]) -> Judge:
 
     def judge(facts: Facts) -> float | None:
         squares = 0.0
-        for axis, asked in zip(POSITION, place, strict=False):
-            is_at, target = facts.get(axis), asked(facts)
+        for axis, target_of in zip(POSITION, place, strict=False):
+            is_at, target = facts.get(axis), target_of(facts)
             if is_at is None or target is None:
                 return None
             apart = _real(is_at) - _real(target)

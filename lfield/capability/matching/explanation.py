@@ -112,21 +112,21 @@ class Explanation:
 
     def _inside(self, place: _Node) -> tuple[Rejection, ...]:
         """The refusals of the needs of a rule."""
-        asked = (place.end, frozenset(place.all_conditions))
-        if asked in self._reported:
-            return (Rejection(place.end, ("as above",)),) if self._reported[asked] else ()
+        key = (place.end, frozenset(place.all_conditions))
+        if key in self._reported:
+            return (Rejection(place.end, ("as above",)),) if self._reported[key] else ()
         if len(self._reported) == MAX_REFUSALS:
             return (Rejection(place.end, ("more reasons exist",)),)
-        self._reported[asked] = True
+        self._reported[key] = True
         inner = tuple(self._at(place))
-        self._reported[asked] = bool(inner)
+        self._reported[key] = bool(inner)
         return inner
 
     def _agents(self, provided: ProviderPlans, place: _Node) -> Iterator[Rejection]:
-        asked = self._search.context
+        context = self._search.context
         for candidate in self._search.candidates(provided.type):
-            found = provided.refusal(candidate, asked)
-            found = found or _failed_conditions(provided.plan(candidate, asked), place.all_conditions)
+            found = provided.refusal(candidate, context)
+            found = found or _failed_conditions(provided.plan(candidate, context), place.all_conditions)
             if found:
                 yield Rejection(candidate.agent, found)
 
@@ -136,8 +136,8 @@ class Explanation:
             return
         below = replace(place, chain=(*place.chain, rule))
         inner = self._inside(below)
-        wishes = _conjuncts(place.conditions)
-        offered = self._search.has_plan(place.primitive, below.chain, place.depth, place.used, wishes)
+        conditions = _conjuncts(place.conditions)
+        offered = self._search.has_plan(place.primitive, below.chain, place.depth, place.used, conditions)
         if not offered:
             yield Rejection(rule.name, (f"no {rule.by}",), inner)
         elif inner:
@@ -198,6 +198,8 @@ def _conjuncts(conditions: Sequence[Expression]) -> tuple[Expression, ...]:
 
 def _failed_conditions(plan: Plan, conditions: Sequence[Expression]) -> tuple[str, ...]:
     """The reasons why a plan does not fulfil conditions; () when it does."""
-    values, why, source = plan.values, plan.unknown_reason, plan.source
-    found = (reason for condition in conditions for reason in failure_reasons(condition, values, why, source))
+    values, reason_of, source = plan.values, plan.unknown_reason, plan.source
+    found = (
+        reason for condition in conditions for reason in failure_reasons(condition, values, reason_of, source)
+    )
     return tuple(dict.fromkeys(found))

@@ -17,13 +17,13 @@ _MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
 def failure_reasons(
-    expression: Expression, facts: Facts, why: Why, source: Callable[[str], str] = lambda name: ""
+    expression: Expression, facts: Facts, reason_of: Why, source: Callable[[str], str] = lambda name: ""
 ) -> tuple[str, ...]:
     """One sentence for each conjunct that is not true, in their order; () when all of them are.
 
     `source` is the text added to the value of an attribute: its provenance.
     """
-    explainer = _Explainer(facts, why, source)
+    explainer = _Explainer(facts, reason_of, source)
     return tuple(
         explainer.reason(conjunct.tree, True)
         for conjunct in conjuncts(expression)
@@ -34,8 +34,8 @@ def failure_reasons(
 class _Explainer:
     """Explains why conditions over the same facts do not have the expected value."""
 
-    def __init__(self, facts: Facts, why: Why, source: Callable[[str], str]) -> None:
-        self._facts, self._why, self._source = facts, why, source
+    def __init__(self, facts: Facts, reason_of: Why, source: Callable[[str], str]) -> None:
+        self._facts, self._reason_of, self._source = facts, reason_of, source
 
     def reason(self, tree: condition_tree.ConditionExpr, expected: bool) -> str:
         """The reason why a tree is not `expected`: it has the other value, or is unknown."""
@@ -60,7 +60,7 @@ class _Explainer:
 
     def _unknown(self, tree: condition_tree.ConditionExpr) -> Iterator[str]:
         missing = [name for name in facts_of(tree) if name not in self._facts]
-        yield from (self._why(name) for name in missing)
+        yield from (self._reason_of(name) for name in missing)
         if not missing:
             yield f"{tree.span.text} has no value"
 
@@ -71,8 +71,8 @@ class _Explainer:
         left, right = tree.left, tree.right
         if isinstance(left, condition_tree.ConditionLiteral):
             left, right, sign = right, left, _MIRRORED[sign]
-        shown = f"{self._side(left)} {sign} {self._side(right)}"
-        return shown if self._differ(left, right) else f"{shown} (they differ after the sixth digit)"
+        text = f"{self._side(left)} {sign} {self._side(right)}"
+        return text if self._differ(left, right) else f"{text} (they differ after the sixth digit)"
 
     def _differ(self, left: condition_tree.ConditionExpr, right: condition_tree.ConditionExpr) -> bool:
         """Whether two numbers differ as they are shown, or not at all."""

@@ -41,8 +41,8 @@ class MatchResult(Struct, frozen=True):
             f"{rule}: {partial_search_note(self.per_rule)}" for rule in self.full if rule not in self.cut
         ]
         if self.count > len(self.offers):
-            least = "at least " if self.cut else ""
-            found.append(f"the best {len(self.offers)} of {least}{self.count} offers are given")
+            at_least = "at least " if self.cut else ""
+            found.append(f"the best {len(self.offers)} of {at_least}{self.count} offers are given")
         return found + self._caveats()
 
     def summary(self, agents: int) -> list[str]:
@@ -108,14 +108,14 @@ class Matcher:
         deployment. Each composition rule gives at most `limits.per_rule` offers.
         """
         search = self._search(primitive, query)
-        most = query.limit or self.max_offers
+        limit = query.limit or self.max_offers
         if query.order:
             plans, unordered = self._ordered(search, query.order)
             count = len(plans)
         else:
-            plans, unordered = list(islice(search.plans(), most)), ()
-            count = len(plans) if len(plans) < most else max(len(plans), search.count())
-        offers = [plan.offer for plan in plans[:most]]
+            plans, unordered = list(islice(search.plans(), limit)), ()
+            count = len(plans) if len(plans) < limit else max(len(plans), search.count())
+        offers = [plan.offer for plan in plans[:limit]]
         cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
         return MatchResult(offers, count, cut, unordered, full, self._limits.per_rule)
 
@@ -141,16 +141,16 @@ class Matcher:
         else:
             members, cost = PlanStream(_by_agents(search.plans())), self._rules.ranking.whole
         found, more = [], False
-        most = query.limit or self.max_offers
+        limit = query.limit or self.max_offers
         try:
             effort = SearchBudget(self._limits.failures, self._limits.steps)
-            for team in islice(teams(members, size, cost, effort), most + 1):
+            for team in islice(teams(members, size, cost, effort), limit + 1):
                 found.append([plan.offer for plan in team])
         except SearchBudgetExceeded:
             more = True
         agents = len(_agents(members.all()))
         cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
-        return TeamResult(found[:most], agents, cut, more, full, len(found) > most)
+        return TeamResult(found[:limit], agents, cut, more, full, len(found) > limit)
 
     def agents(self, primitive: str, query: OfferQuery = ANY_OFFER) -> int:
         """The number of agents that take part in any offer."""
@@ -181,11 +181,11 @@ class Matcher:
         unordered = [
             key.value.text for key, is_known in zip(keys, known, strict=True) if plans and not is_known
         ]
-        given: Counter[str] = Counter()
+        count_by_rule: Counter[str] = Counter()
         best = []
         for plan in plans:
-            given[plan.composition] += 1
-            if not plan.composition or given[plan.composition] <= self._limits.per_rule:
+            count_by_rule[plan.composition] += 1
+            if not plan.composition or count_by_rule[plan.composition] <= self._limits.per_rule:
                 best.append(plan)
             else:
                 search.full.add(plan.composition)

@@ -76,7 +76,7 @@ def satisfying(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]
 
 
 #: Cached, because every offer uses the same few names.
-_way = cache(ways.equivalent)
+_field = cache(ways.equivalent)
 
 
 def substitute(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
@@ -90,16 +90,16 @@ def substitute(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
 
 def _equivalent(plan: Plan) -> Offer:
     rule, behind, ranking = plan.given
-    inner, way = behind.offer, _way(rule.name)
+    inner, field = behind.offer, _field(rule.name)
     return Offer(
         rule.serves,
         "equivalent",
-        way,
+        field,
         inner.agent,
         inner.host,
         plan.cost,
         inner.facts,
-        {way: inner},
+        {field: inner},
         rule.name,
         ranking.terms(ONE_TO_ONE, [rule.loss]),
     )

@@ -59,7 +59,7 @@ class SearchLimits(Struct, frozen=True):
     offers: int = 32
 
 
-class _Way(Struct, frozen=True):
+class _Route(Struct, frozen=True):
     """A chain of one-to-one rules with agents or a composition at its end; it costs at least `bound`."""
 
     chain: Chain
@@ -103,7 +103,7 @@ class Search:
         self._agents: dict[str, list[Plan]] = {}
         self._streams: dict[tuple[str, int, Used, Conditions], PlanStream] = {}
         self._composed: dict[tuple[str, int, Used, Conditions], PlanStream] = {}
-        self._least = least_costs(rules, primitive, self._cheapest)
+        self._least_costs = least_costs(rules, primitive, self._cheapest)
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a resource type, read once."""
@@ -125,49 +125,50 @@ class Search:
 
     def plans(self) -> Iterator[Plan]:
         """All plans that fulfil the constraint, the best first; of each composition the best."""
-        given: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         found = []
-        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
-            plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.conditions)
-            if way.assembly is not None:
-                plans = self._capped(plans, way.assembly, given)
-            found.append((way.bound, plans))
+        for route in self._routes(self.primitive, self.limits.depth, NOTHING):
+            plans = self._plans(route, self.primitive, self.limits.depth, NOTHING, self.conditions)
+            if route.assembly is not None:
+                plans = self._capped(plans, route.assembly, counts)
+            found.append((route.bound, plans))
         for plan in _merged(found):
             if not plan.composition:
                 yield plan
-            elif given[plan.composition] < self.limits.per_rule:
-                given[plan.composition] += 1
+            elif counts[plan.composition] < self.limits.per_rule:
+                counts[plan.composition] += 1
                 yield plan
 
     def count(self) -> int:
         """The number of `plans`, without making those of single agents."""
         wholes: dict[str, list[Iterator[Plan]]] = {}
         found = 0
-        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
-            if way.assembly is None:
-                agents, asked = self.agents(_end(way.chain, self.primitive)), _asked(way.chain)
-                plans = satisfying(agents, judges((*asked, *self.conditions)))
-                found += sum(1 for _ in plans) if asked or self.conditions else len(agents)
+        for route in self._routes(self.primitive, self.limits.depth, NOTHING):
+            if route.assembly is None:
+                agents = self.agents(_end(route.chain, self.primitive))
+                rule_conditions = _rule_conditions(route.chain)
+                plans = satisfying(agents, judges((*rule_conditions, *self.conditions)))
+                found += sum(1 for _ in plans) if rule_conditions or self.conditions else len(agents)
             else:
-                plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.conditions)
-                wholes.setdefault(way.assembly.rule.name, []).append(plans)
-        most = self.limits.per_rule
-        return found + sum(len(list(islice(joined(*plans), most))) for plans in wholes.values())
+                plans = self._plans(route, self.primitive, self.limits.depth, NOTHING, self.conditions)
+                wholes.setdefault(route.assembly.rule.name, []).append(plans)
+        limit = self.limits.per_rule
+        return found + sum(len(list(islice(joined(*plans), limit))) for plans in wholes.values())
 
     def every_plan(self) -> Iterator[Plan]:
         """All plans that fulfil the constraint, of compositions as many as may be tried; in no order."""
-        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
-            plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.conditions)
-            if way.assembly is None:
+        for route in self._routes(self.primitive, self.limits.depth, NOTHING):
+            plans = self._plans(route, self.primitive, self.limits.depth, NOTHING, self.conditions)
+            if route.assembly is None:
                 yield from plans
                 continue
             yield from islice(plans, self.limits.combinations)
             if next(plans, None) is not None:
-                self.cut.add(way.assembly.rule.name)
+                self.cut.add(route.assembly.rule.name)
 
-    def _capped(self, plans: Iterator[Plan], assembly: Assembly, given: Counter[str]) -> Iterator[Plan]:
+    def _capped(self, plans: Iterator[Plan], assembly: Assembly, counts: Counter[str]) -> Iterator[Plan]:
         """The plans, until enough of the composition were given, here or by other chains."""
-        while given[assembly.rule.name] < self.limits.per_rule:
+        while counts[assembly.rule.name] < self.limits.per_rule:
             plan = next(plans, None)
             if plan is None:
                 return
@@ -175,35 +176,39 @@ class Search:
         if next(plans, None) is not None:
             self.full.add(assembly.rule.name)
 
-    def has_plan(self, primitive: str, chain: Chain, depth: int, used: Used, wishes: Conditions) -> bool:
+    def has_plan(self, primitive: str, chain: Chain, depth: int, used: Used, conditions: Conditions) -> bool:
         """Whether any plan uses a chain that begins with this one."""
-        found = (way for way in self._ways(primitive, depth, used) if way.chain[: len(chain)] == chain)
-        plans = (self._plans(way, primitive, depth, used, wishes) for way in found)
+        found = (
+            route for route in self._routes(primitive, depth, used) if route.chain[: len(chain)] == chain
+        )
+        plans = (self._plans(route, primitive, depth, used, conditions) for route in found)
         return next(joined.from_iterable(plans), None) is not None
 
-    def plan_stream(self, primitive: str, depth: int, used: Used, wishes: Conditions = ()) -> PlanStream:
+    def plan_stream(self, primitive: str, depth: int, used: Used, conditions: Conditions = ()) -> PlanStream:
         """All plans for a primitive that fulfil the wishes; `used` are the compositions it is part of."""
         # Compositions that cannot occur below are removed, so that the node can be shared.
         used &= self.rules.inside(primitive)
-        node = (primitive, depth, used, wishes)
+        node = (primitive, depth, used, conditions)
         if node not in self._streams:
-            found = self._ways(primitive, depth, used)
-            plans = _merged([(way.bound, self._plans(way, primitive, depth, used, wishes)) for way in found])
+            found = self._routes(primitive, depth, used)
+            plans = _merged(
+                [(route.bound, self._plans(route, primitive, depth, used, conditions)) for route in found]
+            )
             self._streams[node] = PlanStream(plans)
         return self._streams[node]
 
-    def composed(self, assembly: Assembly, depth: int, used: Used, wishes: Conditions = ()) -> PlanStream:
+    def composed(self, assembly: Assembly, depth: int, used: Used, conditions: Conditions = ()) -> PlanStream:
         """The valid combinations of parts, with at most `depth` rules below the composition's own."""
         used &= self.rules.inside(assembly.rule.serves)
-        node = (assembly.rule.name, depth, used, wishes)
+        node = (assembly.rule.name, depth, used, conditions)
         if node not in self._composed:
-            self._composed[node] = PlanStream(self._fitting(assembly, depth, used, wishes))
+            self._composed[node] = PlanStream(self._fitting(assembly, depth, used, conditions))
         return self._composed[node]
 
     def plans_for_need(self, assembly: Assembly, need: Need, depth: int, used: Used) -> PlanStream:
         """The plans for one part of a composition, independent of the conditions on the whole."""
-        wishes = () if need.when is None else conjuncts(need.when)
-        return self.plan_stream(need.primitive, depth, used | {assembly.rule.name}, wishes)
+        conditions = () if need.when is None else conjuncts(need.when)
+        return self.plan_stream(need.primitive, depth, used | {assembly.rule.name}, conditions)
 
     def combinations(self, assembly: Assembly, depth: int, used: Used) -> Iterator[tuple[Plan, ...]]:
         """Every choice of parts, the cheapest first, also those that do not fit together."""
@@ -216,12 +221,12 @@ class Search:
         found = self.agents(primitive)
         return found[0].cost if found else None
 
-    def _fitting(self, assembly: Assembly, depth: int, used: Used, wishes: Conditions) -> Iterator[Plan]:
+    def _fitting(self, assembly: Assembly, depth: int, used: Used, conditions: Conditions) -> Iterator[Plan]:
         """The wholes that fulfil the wishes, the best first."""
         effort = SearchBudget(self.limits.combinations, self.limits.steps, self._budget)
         branches = [
             (0.0, self._branch(assembly, narrowed, depth, used | {assembly.rule.name}, effort))
-            for narrowed in assembly.pushed_down(wishes)
+            for narrowed in assembly.pushed_down(conditions)
         ]
         yield from _merged(branches)
 
@@ -230,8 +235,8 @@ class Search:
     ) -> Iterator[Plan]:
         needs = assembly.rule.needs.values()
         streams = [
-            self.plan_stream(need.primitive, depth, used, wishes)
-            for need, wishes in zip(needs, narrowed.parts, strict=True)
+            self.plan_stream(need.primitive, depth, used, conditions)
+            for need, conditions in zip(needs, narrowed.parts, strict=True)
         ]
         whole = judges(narrowed.whole)
         try:
@@ -244,7 +249,7 @@ class Search:
         except SearchBudgetExceeded:
             self.cut.add(assembly.rule.name)
 
-    def _ways(self, primitive: str, depth: int, used: Used) -> list[_Way]:
+    def _routes(self, primitive: str, depth: int, used: Used) -> list[_Route]:
         """All ways to a primitive, in the order in which they win ties."""
         found = []
         for chain in self.rules.chains(primitive):
@@ -252,12 +257,12 @@ class Search:
                 break
             end = _end(chain, primitive)
             if own := self.agents(end):
-                found.append(_Way(chain, None, self._by_chain(chain, own[0].cost)))
+                found.append(_Route(chain, None, self._by_chain(chain, own[0].cost)))
             for assembly in self.rules.compositions(end) if len(chain) < depth else ():
-                least = assembly.least_cost(self._least)
-                if least is not None and assembly.rule.name not in used:
-                    found.append(_Way(chain, assembly, self._by_chain(chain, least)))
-        return sorted(found, key=lambda way: (len(way.names), way.names))
+                least_cost = assembly.least_cost(self._least_costs)
+                if least_cost is not None and assembly.rule.name not in used:
+                    found.append(_Route(chain, assembly, self._by_chain(chain, least_cost)))
+        return sorted(found, key=lambda route: (len(route.names), route.names))
 
     def _by_chain(self, chain: Chain, cost: float) -> float:
         """The cost of an offer by a chain, from the cost at its end."""
@@ -265,16 +270,18 @@ class Search:
             cost = self.rules.ranking.by_rule(cost, rule.loss)
         return cost
 
-    def _plans(self, way: _Way, primitive: str, depth: int, used: Used, wishes: Conditions) -> Iterator[Plan]:
+    def _plans(
+        self, route: _Route, primitive: str, depth: int, used: Used, conditions: Conditions
+    ) -> Iterator[Plan]:
         """The plans of one way that fulfil the conditions of its rules and of the query."""
-        asked = (*_asked(way.chain), *wishes)
+        all_conditions = (*_rule_conditions(route.chain), *conditions)
         behind: Iterable[Plan]
-        if way.assembly is None:
-            behind = satisfying(self.agents(_end(way.chain, primitive)), judges(asked))
+        if route.assembly is None:
+            behind = satisfying(self.agents(_end(route.chain, primitive)), judges(all_conditions))
         else:
-            behind = _each(self.composed(way.assembly, depth - len(way.chain) - 1, used, asked))
+            behind = _each(self.composed(route.assembly, depth - len(route.chain) - 1, used, all_conditions))
         for plan in behind:
-            for rule in reversed(way.chain):
+            for rule in reversed(route.chain):
                 plan = substitute(rule, plan, self.rules.ranking)
             yield plan
 
@@ -289,7 +296,7 @@ def attributes_of(condition: Expression | None) -> frozenset[str]:
     return frozenset() if condition is None else frozenset(fact_names(condition))
 
 
-def _asked(chain: Chain) -> Conditions:
+def _rule_conditions(chain: Chain) -> Conditions:
     """The conditions of the rules of a chain on the agent at its end."""
     return tuple(c for rule in chain if rule.when is not None for c in conjuncts(rule.when))
 

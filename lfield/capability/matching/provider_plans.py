@@ -35,7 +35,7 @@ class ProviderPlans:
         self._judges = [evaluator(c) for c in conjuncts(served.when)] if served.when else []
         self._ranking = ranking
         self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
-        self._way = ways.direct(provider.type)
+        self._field = ways.direct(provider.type)
         self._own = served.attributes.keys()
         self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
         nominal = served.nominal | (provider.nominal - served.attributes.keys())
@@ -61,8 +61,8 @@ class ProviderPlans:
         """The reasons why a candidate cannot serve the primitive under any condition; () when it can."""
         if candidate.refusal:
             return (candidate.refusal,)
-        if why := candidate.barred.get(self.primitive):
-            return (why,)
+        if reason := candidate.barred.get(self.primitive):
+            return (reason,)
         if self._when is None:
             return ()
         plan = self.plan(candidate, context)
@@ -72,10 +72,10 @@ class ProviderPlans:
         """The plan of a candidate, made anew only when the candidate or the context has changed."""
         if context is not self._context:
             self._set_context(context)
-        kept = self._cached.get(candidate.agent)
-        if kept is None or kept.given[0] is not candidate:
-            kept = self._cached[candidate.agent] = self._made(candidate)
-        return kept
+        cached = self._cached.get(candidate.agent)
+        if cached is None or cached.given[0] is not candidate:
+            cached = self._cached[candidate.agent] = self._make_plan(candidate)
+        return cached
 
     def _set_context(self, context: CostContext) -> None:
         """Sets the query: its attributes, whose ages count, and its position, for distances."""
@@ -85,7 +85,7 @@ class ProviderPlans:
             self._costing = self._ranking.agents(self.primitive, context.here)
         self._context, self._counted = context, counted
 
-    def _made(self, candidate: Candidate) -> Plan:
+    def _make_plan(self, candidate: Candidate) -> Plan:
         # Written out, because a thousand agents come through here in a query.
         known, live, unknown = self._counting(candidate.facts), self._live, candidate.unknown
         values = self._stated(candidate).copy()
@@ -106,13 +106,13 @@ class ProviderPlans:
 
     def _stated(self, candidate: Candidate) -> dict[str, Value]:
         """The static attributes of an agent, computed once."""
-        kept = self._bases.get(candidate.agent)
-        if kept is None or kept[0] is not candidate.stated:
+        cached = self._bases.get(candidate.agent)
+        if cached is None or cached[0] is not candidate.stated:
             own, host = candidate.stated, candidate.host
             values = {**self._values, "agent": candidate.agent, "robot": host, "host": host}
-            kept = own, values | {name: fact.value for name, fact in own.items()}
-            self._bases[candidate.agent] = kept
-        return kept[1]
+            cached = own, values | {name: fact.value for name, fact in own.items()}
+            self._bases[candidate.agent] = cached
+        return cached[1]
 
     def _counting(self, facts: Mapping[str, Fact]) -> Mapping[str, Fact]:
         """The attributes of a candidate, without reported ones that this primitive overrides.
@@ -130,7 +130,7 @@ class ProviderPlans:
         return Offer(
             self.primitive,
             "direct",
-            self._way,
+            self._field,
             candidate.agent,
             candidate.host,
             plan.cost,

@@ -80,9 +80,9 @@ class _Collected(Struct):
     )
 
 
-def push_down(rule: Composition, asked: Sequence[Expression]) -> list[PushedDown]:
+def push_down(rule: Composition, conditions: Sequence[Expression]) -> list[PushedDown]:
     """Splits the `where` of a rule and the condition of a query into alternatives with disjoint results."""
-    return _PushDown(rule).run(asked)
+    return _PushDown(rule).run(conditions)
 
 
 class _PushDown:
@@ -95,11 +95,11 @@ class _PushDown:
         #: The number of searches.
         self._searches = 1
 
-    def run(self, asked: Sequence[Expression]) -> list[PushedDown]:
+    def run(self, conditions: Sequence[Expression]) -> list[PushedDown]:
         """One result for each alternative of the part; none if the condition cannot be satisfied."""
         for conjunct in (c for where in self._rule.where for c in conjuncts(where)):
             self._of_whole(conjunct)
-        for conjunct in asked:
+        for conjunct in conditions:
             if self._is_unknown(conjunct.tree):
                 return []
             self._of_whole(conjunct)
@@ -118,10 +118,10 @@ class _PushDown:
         parts = tuple((*had, *new) for had, new in zip(branch.parts, found.parts, strict=True))
         joins, checks = (*branch.joins, *found.joins), (*branch.checks, *found.checks)
         branches = [PushedDown(parts, joins, checks, (*branch.whole, *found.whole))]
-        for one, other in found.choices:
+        for left, right in found.choices:
             # Results for which both sides are true are found by the first.
-            first, second = self._collect(one), self._collect(other)
-            second.checks.append(self._check(one, lambda judge, facts: judge(facts) is not True))
+            first, second = self._collect(left), self._collect(right)
+            second.checks.append(self._check(left, lambda judge, facts: judge(facts) is not True))
             branches = [more for b in branches for side in (first, second) for more in self._grown(b, side)]
         return branches
 
@@ -142,8 +142,8 @@ class _PushDown:
 
     def _of_whole(self, conjunct: Expression) -> None:
         """Splits a condition on the whole, or on parts by name."""
-        if (who := _identity(conjunct.tree)) is not None:
-            self._on_identity(conjunct, *who)
+        if (identity := _identity(conjunct.tree)) is not None:
+            self._on_identity(conjunct, *identity)
             return
         tree = _replaced(conjunct.tree, self._definition_of)
         if any("." not in name for name in facts_of(tree)):
@@ -180,8 +180,8 @@ class _PushDown:
         """Splits `agent == "f39"` (one part is the agent) or `agent != "f39"` (no part is)."""
         is_it, is_not = (_expression(_compared(conjunct, name, s, literal)) for s in ("==", "!="))
         if sign == "!=":
-            for asked in self._found.parts:
-                asked.append(is_not)
+            for conditions in self._found.parts:
+                conditions.append(is_not)
         elif self._has_budget_for(len(self._needs)):
             self._found.alternatives.append((is_it, is_not))
         else:
@@ -219,9 +219,12 @@ class _PushDown:
             case condition_tree.ConditionBinary(operator="==", left=left, right=right):
                 first, second = self._parts_of(left), self._parts_of(right)
                 if len(first) == len(second) == 1 and first != second:
-                    (one,), (other,) = first, second
+                    (left_part,), (right_part,) = first, second
                     return Join(
-                        one, value_of(_replaced(left, _alone)), other, value_of(_replaced(right, _alone))
+                        left_part,
+                        value_of(_replaced(left, _alone)),
+                        right_part,
+                        value_of(_replaced(right, _alone)),
                     )
         return None
 
@@ -234,9 +237,9 @@ class _PushDown:
         return self._needs.index(need), attribute
 
 
-def _with(branch: PushedDown, asked: Sequence[Expression]) -> PushedDown:
+def _with(branch: PushedDown, conditions: Sequence[Expression]) -> PushedDown:
     """The result with one more condition on each of the first parts."""
-    more = [(one,) for one in asked] + [()] * (len(branch.parts) - len(asked))
+    more = [(condition,) for condition in conditions] + [()] * (len(branch.parts) - len(conditions))
     parts = tuple((*had, *new) for had, new in zip(branch.parts, more, strict=True))
     return replace(branch, parts=parts)
 

@@ -137,23 +137,23 @@ class Ranking:
 
     # --- an agent -------------------------------------------------------------------------------------
 
-    def agents(self, primitive: str, here: Position | None) -> Costing:
-        """The cost of an agent that provides the primitive directly, for a query `here`."""
+    def agents(self, primitive: str, position: Position | None) -> Costing:
+        """The cost of an agent that provides the primitive directly, for a query at `position`."""
         rated = [(r.name, r.share, r.typical, r.more) for r in self.rated(primitive)]
         nearby = self._weights.nearby
         of_fitness, of_hop, of_near, of_age = self._of_agent
 
         # Everything is at hand, because a thousand agents come through here in a query.
         def costing(values: Facts, hops: int, staleness: float) -> tuple[float, tuple[float, ...]]:
-            fitness, near = 0.0, 0.0
+            fitness, remoteness = 0.0, 0.0
             for name, share, typical, more in rated:
                 fitness += share * _penalty(typical, more, values.get(name))
-            if here is not None:
-                distance = distance_to(values, here)
-                near = TYPICAL_PENALTY if distance is None else distance / (nearby + distance)
+            if position is not None:
+                distance = distance_to(values, position)
+                remoteness = TYPICAL_PENALTY if distance is None else distance / (nearby + distance)
             age = staleness if staleness < 1.0 else 1.0
-            cost = of_fitness * fitness + of_hop * hops + of_near * near + of_age * age
-            return _rounded(cost), (fitness, hops, near, age)
+            cost = of_fitness * fitness + of_hop * hops + of_near * remoteness + of_age * age
+            return _rounded(cost), (fitness, hops, remoteness, age)
 
         return costing
 

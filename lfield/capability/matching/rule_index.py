@@ -67,8 +67,8 @@ class RuleIndex:
         for primitive in dict.fromkeys(need.primitive for need in assembly.rule.needs.values()):
             self._compositions_by_need[primitive].append(assembly)
 
-    def _is_open(self, primitive: str, way: str) -> bool:
-        return self._open is None or way in self._open.get(primitive, ())
+    def _is_open(self, primitive: str, field: str) -> bool:
+        return self._open is None or field in self._open.get(primitive, ())
 
     def providers(self, primitive: str) -> list[ProviderPlans]:
         """The resource types that serve a primitive themselves."""
@@ -173,6 +173,6 @@ def _following(rules: RuleIndex, primitive: str, settled: Mapping[str, float]) -
     for rule in rules.equivalences_by(primitive):
         yield rules.ranking.by_rule(settled[primitive], rule.loss), rule.serves
     for assembly in rules.compositions_with(primitive):
-        least = assembly.least_cost(settled)
-        if least is not None:
-            yield least, assembly.rule.serves
+        cost = assembly.least_cost(settled)
+        if cost is not None:
+            yield cost, assembly.rule.serves

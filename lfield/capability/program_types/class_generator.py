@@ -100,9 +100,9 @@ class UsableWays:
 
     def all_ways(self) -> dict[str, frozenset[str]]:
         """The ways of every primitive: the fields that its class has, or would have."""
-        return {name: frozenset(self._ways(name)) for name in self.primitives}
+        return {name: frozenset(self._field_names(name)) for name in self.primitives}
 
-    def _ways(self, primitive: str) -> Iterator[str]:
+    def _field_names(self, primitive: str) -> Iterator[str]:
         yield from (ways.direct(provider.type) for provider in self.providers(primitive))
         yield from (ways.equivalent(rule.name) for rule in self.equivalences(primitive))
         yield from (ways.composed(rule.name) for rule in self.compositions(primitive))
@@ -188,8 +188,8 @@ def _portal(served: UsableWays, primitive: Primitive, portal: Portal) -> Iterato
 
 def _branch(field: str, portal: Portal, mapped: PortalMap) -> Iterator[str]:
     """The code of one way: the mapped call, and the result for the caller."""
-    given = ", ".join(map(_argument_text, mapped.arguments))
-    call = f"{field}.{mapped.target}({given})"
+    arguments = ", ".join(map(_argument_text, mapped.arguments))
+    call = f"{field}.{mapped.target}({arguments})"
     result = mapped.result
     if portal.result == "void":
         steps = [f"{call};", "return;"]

@@ -49,10 +49,10 @@ def _settled(
     manifests: Mapping[str, DeviceManifest],
     found: Diagnostics,
 ) -> Provider:
-    lives = {}
+    live_attributes = {}
     for name, live in provider.live.items():
         if live.portal:
-            lives[name] = live
+            live_attributes[name] = live
             continue
         manifest = manifests.get(devices.get(live.device, ""))
         if manifest is None:
@@ -60,8 +60,8 @@ def _settled(
             continue
         settled = _from_device(registry.attributes[name], live, manifest, found)
         if settled is not None:
-            lives[name] = settled
-    return replace(provider, live=lives)
+            live_attributes[name] = settled
+    return replace(provider, live=live_attributes)
 
 
 def _no_device(provider: Provider, live: LiveAttribute, devices: Sequence[str]) -> Diagnostic:

@@ -181,16 +181,18 @@ def _missing(span: Span, targets: Sequence[str], resource: Signature) -> Diagnos
 def _signature_problems(primitive: Primitive, mapped: PortalMap, resource: Signature) -> list[Diagnostic]:
     """The reasons why an existing portal does not fit its mapping."""
     portal, overloads = primitive.portals[mapped.portal], resource.portals[mapped.target]
-    given = tuple(argument_type(argument, portal) for argument in mapped.arguments)
+    types_given = tuple(argument_type(argument, portal) for argument in mapped.arguments)
     results = [
-        result_type(mapped.result, portal, result) for types, result in overloads if fits_all(given, types)
+        result_type(mapped.result, portal, result)
+        for types, result in overloads
+        if fits_all(types_given, types)
     ]
     if not results:
         message = messages.NO_OVERLOAD.at(
             mapped.span,
             type=resource.name,
             portal=mapped.target,
-            given=", ".join(given),
+            given=", ".join(types_given),
             overloads=_format_overloads(mapped.target, overloads),
         )
         return [message]
@@ -247,9 +249,9 @@ def _check_class(rule: Composition, primitive: Primitive, unit: Signature, found
 
 
 def _has_method(unit: Signature, portal: Portal) -> bool:
-    given = tuple(p.type for p in portal.parameters)
+    parameter_types = tuple(p.type for p in portal.parameters)
     return any(
-        fits_all(given, types) and fits(result, portal.result)
+        fits_all(parameter_types, types) and fits(result, portal.result)
         for types, result in unit.portals.get(portal.name, ())
     )
 

@@ -77,8 +77,8 @@ def restrict_to_program(
     resources, found = resources_of(program), Diagnostics()
     devices = _devices(resources, hollow)
     fitting = convert_live_units(satisfied(registry, resources), devices, plugins.device_types, found)
-    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
-        raise ProgramError(wrong)
+    if mistakes := [mistake for mistake in found.errors if not is_shipped(mistake)]:
+        raise ProgramError(mistakes)
     return replace(fitting, constraints=compile_constants(program.core.constants, fitting.attributes))
 
 

@@ -44,7 +44,7 @@ def read_placeholders(text: str) -> QueryPlaceholders:
     if parsed is None:
         return QueryPlaceholders(mistakes=tuple(mistakes))
     found = [parameter for tree in _trees(parsed) for parameter in parameters(tree)]
-    places = tuple(Placeholder(one.path, one.span.start, one.span.end) for one in found)
+    places = tuple(Placeholder(each.path, each.span.start, each.span.end) for each in found)
     quoted = tuple(
         Placeholder(match[1], literal.span.start, literal.span.end)
         for tree in _trees(parsed)
@@ -81,16 +81,20 @@ def _numbered(
     conversions: Mapping[ConditionParameter, Conversion],
 ) -> CompiledQuery:
     """The text with `$n0` for the first value; equal values have one number."""
-    found = sorted((p for tree in _trees(parsed) for p in parameters(tree)), key=lambda one: one.span.start)
+    found = sorted(
+        (p for tree in _trees(parsed) for p in parameters(tree)), key=lambda parameter: parameter.span.start
+    )
     values: list[PlaceholderValue] = []
-    made, at = "", 0
-    for one in found:
-        value = PlaceholderValue(one.path, *conversions.get(one, _SAME))
+    numbered, at = "", 0
+    for parameter in found:
+        value = PlaceholderValue(parameter.path, *conversions.get(parameter, _SAME))
         if value not in values:
             values.append(value)
-        made += f"{text[at : one.span.start]}${_LETTERS[sorts[one.path]]}{values.index(value)}"
-        at = one.span.end
-    return CompiledQuery(made + text[at:], tuple(values))
+        numbered += (
+            f"{text[at : parameter.span.start]}${_LETTERS[sorts[parameter.path]]}{values.index(value)}"
+        )
+        at = parameter.span.end
+    return CompiledQuery(numbered + text[at:], tuple(values))
 
 
 def _trees(parsed: ParsedQuery) -> Iterator[ConditionExpr]:

@@ -37,48 +37,50 @@ _EXPECTED = {
 }
 
 
-def read_values(draft: RegistryBuilder, fields: YamlFields) -> dict[str, Value]:
+def read_values(builder: RegistryBuilder, fields: YamlFields) -> dict[str, Value]:
     """Attribute values by name, in the units of their attributes; mistakes are reported and left out."""
     values = {}
     for entry in fields.named():
-        attribute = draft.attribute(entry.key, entry.key_span)
-        value = _value(draft, attribute, entry) if attribute is not None else None
+        attribute = builder.attribute(entry.key, entry.key_span)
+        value = _value(builder, attribute, entry) if attribute is not None else None
         if value is not None:
             values[entry.key] = value
     return values
 
 
-def check_unit(draft: RegistryBuilder, unit: str, type: str, what: str, span: Span) -> None:
+def check_unit(builder: RegistryBuilder, unit: str, type: str, subject: str, span: Span) -> None:
     """Report a canonical unit that is unknown, not SI, or not allowed here."""
     if not unit:
         return
     if type not in ("real", "int", "real[]", "int[]"):
-        draft.report(messages.NO_UNIT_HERE, span, what=what, type=type)
+        builder.report(messages.NO_UNIT_HERE, span, what=subject, type=type)
     elif not units.is_unit(unit):
-        draft.report(messages.UNKNOWN_UNIT, span, hint=units.suggestion(unit), unit=unit)
+        builder.report(messages.UNKNOWN_UNIT, span, hint=units.suggestion(unit), unit=unit)
     elif not units.is_registry_unit(unit):
-        draft.report(messages.NOT_SI, span, unit=unit, si=units.in_si(unit) or "no unit")
+        builder.report(messages.NOT_SI, span, unit=unit, si=units.in_si(unit) or "no unit")
 
 
-def read_conversion(draft: RegistryBuilder, given: str, expected: str, span: Span) -> tuple[float, float]:
+def read_conversion(
+    builder: RegistryBuilder, unit_given: str, expected: str, span: Span
+) -> tuple[float, float]:
     """Factor and offset from one unit to another; (1, 0) after a mistake, which is reported."""
-    for unit in (given, expected):
+    for unit in (unit_given, expected):
         if not units.is_unit(unit):
-            draft.report(messages.UNKNOWN_UNIT, span, hint=units.suggestion(unit), unit=unit)
+            builder.report(messages.UNKNOWN_UNIT, span, hint=units.suggestion(unit), unit=unit)
             return 1.0, 0.0
-    conversion = units.conversion(given, expected)
+    conversion = units.conversion(unit_given, expected)
     if conversion is None:
-        draft.report(messages.OTHER_DIMENSION, span, given=given or "1", expected=expected or "1")
+        builder.report(messages.OTHER_DIMENSION, span, given=unit_given or "1", expected=expected or "1")
         return 1.0, 0.0
     return conversion
 
 
-def _value(draft: RegistryBuilder, attribute: Attribute, entry: YamlEntry) -> Value | None:
+def _value(builder: RegistryBuilder, attribute: Attribute, entry: YamlEntry) -> Value | None:
     """The value of an attribute; None when it is of another kind, which is reported."""
-    value = _of_type(draft, attribute, entry.value)
+    value = _of_type(builder, attribute, entry.value)
     if value is None:
         unit, culprit = attribute.unit, _wrong_node(attribute, entry.value)
-        draft.report(
+        builder.report(
             messages.BAD_VALUE,
             culprit.span,
             hint=f'with its unit it is written as "12 {unit}"' if unit else "",
@@ -100,14 +102,14 @@ def _is_text(node: YamlNode) -> bool:
     return isinstance(node, YamlScalar) and isinstance(node.value, str)
 
 
-def _of_type(draft: RegistryBuilder, attribute: Attribute, node: YamlNode) -> Value | None:
+def _of_type(builder: RegistryBuilder, attribute: Attribute, node: YamlNode) -> Value | None:
     if attribute.type in ("set", "text"):
-        return _text_or_set(draft, attribute, node)
+        return _text_or_set(builder, attribute, node)
     if not isinstance(node, YamlScalar):
         return None
     if attribute.type == "boolean" or isinstance(node.value, bool):
         return node.value if attribute.type == "boolean" and isinstance(node.value, bool) else None
-    amount = _amount(draft, attribute, node)
+    amount = _amount(builder, attribute, node)
     if amount is None or not math.isfinite(amount):
         return None
     if attribute.type == "real":
@@ -115,18 +117,18 @@ def _of_type(draft: RegistryBuilder, attribute: Attribute, node: YamlNode) -> Va
     return int(amount) if abs(amount) <= _MAX_INTEGER and amount == int(amount) else None
 
 
-def _amount(draft: RegistryBuilder, attribute: Attribute, node: YamlScalar) -> float | None:
+def _amount(builder: RegistryBuilder, attribute: Attribute, node: YamlScalar) -> float | None:
     """A number in the attribute's unit, or text with a unit of its own."""
     if not isinstance(node.value, str):
         return node.value
     match = _WITH_UNIT.fullmatch(node.value)
     if match is None:
         return None
-    factor, offset = read_conversion(draft, match["unit"], attribute.unit, node.span)
+    factor, offset = read_conversion(builder, match["unit"], attribute.unit, node.span)
     return float(match["amount"]) * factor + offset
 
 
-def _text_or_set(draft: RegistryBuilder, attribute: Attribute, node: YamlNode) -> Value | None:
+def _text_or_set(builder: RegistryBuilder, attribute: Attribute, node: YamlNode) -> Value | None:
     """A text, or the members of a set; a single member needs no list."""
     nodes = node.items if isinstance(node, YamlList) and attribute.type == "set" else (node,)
     values = []
@@ -134,22 +136,24 @@ def _text_or_set(draft: RegistryBuilder, attribute: Attribute, node: YamlNode) -
         if not isinstance(item, YamlScalar) or not isinstance(item.value, str):
             return None
         values.append(item.value)
-        _check_member(draft, attribute, item.value, item.span)
+        _check_member(builder, attribute, item.value, item.span)
     return frozenset(values) if attribute.type == "set" else values[0]
 
 
-def _check_member(draft: RegistryBuilder, attribute: Attribute, member: str, span: Span) -> None:
+def _check_member(builder: RegistryBuilder, attribute: Attribute, member: str, span: Span) -> None:
     if attribute.values and member not in attribute.values:
-        hint = draft.similar_name(member, attribute.values)
+        hint = builder.similar_name(member, attribute.values)
         known = listed(attribute.values)
-        draft.report(messages.NOT_A_MEMBER, span, hint=hint, value=member, name=attribute.name, values=known)
+        builder.report(
+            messages.NOT_A_MEMBER, span, hint=hint, value=member, name=attribute.name, values=known
+        )
 
 
 # --- expressions ---------------------------------------------------------------------------------------
 
 
 def read_expression(
-    draft: RegistryBuilder, node: YamlNode | None, scope: NameScope, expected: Expectation
+    builder: RegistryBuilder, node: YamlNode | None, scope: NameScope, expected: Expectation
 ) -> Expression | None:
     """The expression in a scalar, None when there is none or it has mistakes, which are reported.
 
@@ -159,7 +163,7 @@ def read_expression(
         return None
     if not isinstance(node, YamlScalar) or node.value is None:
         problem = f"an expression is text, not {describe(node)}"
-        draft.report(messages.BAD_EXPRESSION, node.span, problem=problem)
+        builder.report(messages.BAD_EXPRESSION, node.span, problem=problem)
         return None
     text = node.value if isinstance(node.value, str) else node.span.text
     expression, mistakes = parse_expression(text)
@@ -167,15 +171,15 @@ def read_expression(
         mistakes = check_expression(expression, scope, expected)
     for mistake in mistakes:
         span = _within(node.span, text, mistake)
-        draft.report(messages.BAD_EXPRESSION, span, hint=mistake.hint, problem=mistake.message)
+        builder.report(messages.BAD_EXPRESSION, span, hint=mistake.hint, problem=mistake.message)
     return expression if not mistakes else None
 
 
 def read_attribute_expression(
-    draft: RegistryBuilder, node: YamlNode | None, scope: NameScope, attribute: Attribute
+    builder: RegistryBuilder, node: YamlNode | None, scope: NameScope, attribute: Attribute
 ) -> Expression | None:
     """The expression for the value of an attribute of a whole, from those of its parts."""
-    return read_expression(draft, node, scope, EXPECTATIONS[attribute.type])
+    return read_expression(builder, node, scope, EXPECTATIONS[attribute.type])
 
 
 def _within(scalar: Span, text: str, mistake: Mistake) -> Span:

@@ -30,19 +30,19 @@ _TERMS = tuple(name for name in Weights.__struct_fields__ if name not in ("attri
 _HEAVIEST = 1e6
 
 
-def read_attributes(draft: RegistryBuilder) -> None:
+def read_attributes(builder: RegistryBuilder) -> None:
     """All attributes of all files."""
-    for file, entry, fields in draft.entries("attributes"):
-        draft.define(
-            draft.attributes, _attribute(draft, entry, fields), "the attribute", mission=file.mission
+    for file, entry, fields in builder.entries("attributes"):
+        builder.define(
+            builder.attributes, _attribute(builder, entry, fields), "the attribute", mission=file.mission
         )
 
 
-def _attribute(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Attribute:
+def _attribute(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Attribute:
     name, span = entry.key, entry.key_span
-    draft.check_name(name, NAME, "an attribute", span)
+    builder.check_name(name, NAME, "an attribute", span)
     if name in RESERVED_ATTRIBUTES:
-        draft.report(messages.RESERVED_ATTRIBUTE, span, name=name)
+        builder.report(messages.RESERVED_ATTRIBUTE, span, name=name)
     kind = fields.text("type", "real", required=True, choices=get_args(AttributeType))
     attribute = Attribute(
         name=name,
@@ -57,31 +57,34 @@ def _attribute(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> 
         meaning=fields.text("meaning"),
     )
     fields.report_unread()
-    check_unit(draft, attribute.unit, kind, f"'{name}'", fields.value_span("unit"))
+    check_unit(builder, attribute.unit, kind, f"'{name}'", fields.value_span("unit"))
     if attribute.values and kind not in ("set", "text"):
-        draft.report(messages.VALUES_OF_NUMBER, fields.value_span("values"), name=name, type=kind)
+        builder.report(messages.VALUES_OF_NUMBER, fields.value_span("values"), name=name, type=kind)
     return attribute
 
 
-def read_ranking(draft: RegistryBuilder) -> None:
+def read_ranking(builder: RegistryBuilder) -> None:
     """The weights: a later file counts before an earlier one, a mission's before all."""
-    for file in draft.files:
+    for file in builder.files:
         section = file.top.section("ranking")
         stated = section.section("weights")
-        known = draft.weights
+        known = builder.weights
         weights = {
             term: stated.number(term, getattr(known, term), minimum=0.0, maximum=_HEAVIEST) for term in _TERMS
         }
         stated.report_unread()
-        attributes = {**draft.weights.attributes, **_attribute_weights(draft, section.section("attributes"))}
-        nearby = section.number("nearby", draft.weights.nearby, minimum=0.1, maximum=_HEAVIEST)
-        draft.set_weights(replace(draft.weights, attributes=attributes, nearby=nearby, **weights))
+        attributes = {
+            **builder.weights.attributes,
+            **_attribute_weights(builder, section.section("attributes")),
+        }
+        nearby = section.number("nearby", builder.weights.nearby, minimum=0.1, maximum=_HEAVIEST)
+        builder.set_weights(replace(builder.weights, attributes=attributes, nearby=nearby, **weights))
         section.report_unread()
 
 
-def _attribute_weights(draft: RegistryBuilder, section: YamlFields) -> dict[str, float]:
+def _attribute_weights(builder: RegistryBuilder, section: YamlFields) -> dict[str, float]:
     weights = {}
     for entry in section.named():
-        if draft.attribute(entry.key, entry.key_span) is not None:
+        if builder.attribute(entry.key, entry.key_span) is not None:
             weights[entry.key] = section.number(entry.key, minimum=0.0, maximum=_HEAVIEST)
     return weights

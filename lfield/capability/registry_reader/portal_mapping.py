@@ -24,7 +24,7 @@ from lfield.text.yaml_source import YamlEntry, YamlMapping, YamlNode, YamlScalar
 
 
 def read_portals(
-    draft: RegistryBuilder, fields: YamlFields, primitive: Primitive, span: Span
+    builder: RegistryBuilder, fields: YamlFields, primitive: Primitive, span: Span
 ) -> dict[str, PortalMap]:
     """The mappings of all portals of a primitive; those that are left out, too, at the place `span`.
 
@@ -35,9 +35,9 @@ def read_portals(
     for entry in section.named():
         portal = primitive.portals.get(entry.key)
         if portal is None:
-            draft.report_unknown_portal(primitive, entry.key, entry.key_span)
+            builder.report_unknown_portal(primitive, entry.key, entry.key_span)
         else:
-            maps[entry.key] = _map(draft, entry, primitive, portal)
+            maps[entry.key] = _map(builder, entry, primitive, portal)
     left_out = {
         name: same_name(portal, span) for name, portal in primitive.portals.items() if name not in maps
     }
@@ -50,107 +50,107 @@ def same_name(portal: Portal, span: Span, target: str = "") -> PortalMap:
     return PortalMap(portal.name, target or portal.name, arguments, span)
 
 
-def _map(draft: RegistryBuilder, entry: YamlEntry, primitive: Primitive, portal: Portal) -> PortalMap:
+def _map(builder: RegistryBuilder, entry: YamlEntry, primitive: Primitive, portal: Portal) -> PortalMap:
     node, span = entry.value, entry.key_span
     if isinstance(node, YamlScalar) and isinstance(node.value, str):
-        draft.check_name(node.value, PORTAL, "a portal", node.span)
+        builder.check_name(node.value, PORTAL, "a portal", node.span)
         return same_name(portal, span, node.value)
-    fields = YamlFields(node, draft.found, f"'{entry.key}'")
+    fields = YamlFields(node, builder.found, f"'{entry.key}'")
     target = fields.text("portal", portal.name)
-    draft.check_name(target, PORTAL, "a portal", fields.value_span("portal"))
+    builder.check_name(target, PORTAL, "a portal", fields.value_span("portal"))
     arguments = same_name(portal, span).arguments
     if "arguments" in fields:
-        arguments = tuple(_argument(draft, item, primitive, portal) for item in fields.items("arguments"))
-    result = _result(draft, fields, primitive, portal) if "emit" in fields else None
+        arguments = tuple(_argument(builder, item, primitive, portal) for item in fields.items("arguments"))
+    result = _result(builder, fields, primitive, portal) if "emit" in fields else None
     fields.report_unread()
     return PortalMap(portal.name, target, arguments, span, result)
 
 
-def _argument(draft: RegistryBuilder, node: YamlNode, primitive: Primitive, portal: Portal) -> Argument:
+def _argument(builder: RegistryBuilder, node: YamlNode, primitive: Primitive, portal: Portal) -> Argument:
     if isinstance(node, YamlMapping):
-        fields = YamlFields(node, draft.found, "an argument")
-        argument = _long_argument(draft, fields, primitive, portal)
+        fields = YamlFields(node, builder.found, "an argument")
+        argument = _long_argument(builder, fields, primitive, portal)
         fields.report_unread()
         return argument
     if isinstance(node, YamlScalar) and isinstance(node.value, str):
-        return Argument(_parameter(draft, node.value, node.span, primitive, portal))
+        return Argument(_parameter(builder, node.value, node.span, primitive, portal))
     if isinstance(node, YamlScalar) and node.value is not None:
         return Argument(constant=node.value)
-    draft.report(messages.BAD_ARGUMENT, node.span, given=describe(node))
+    builder.report(messages.BAD_ARGUMENT, node.span, given=describe(node))
     return Argument(constant=0)
 
 
 def _long_argument(
-    draft: RegistryBuilder, fields: YamlFields, primitive: Primitive, portal: Portal
+    builder: RegistryBuilder, fields: YamlFields, primitive: Primitive, portal: Portal
 ) -> Argument:
     if "constant" in fields:
-        return Argument(constant=_constant(draft, fields))
+        return Argument(constant=_constant(builder, fields))
     name = fields.text("parameter", required=True)
     if name:
-        name = _parameter(draft, name, fields.value_span("parameter"), primitive, portal)
+        name = _parameter(builder, name, fields.value_span("parameter"), primitive, portal)
     unit = fields.text("unit")
     if not unit or not name:
         return Argument(name)
     own = next(p for p in portal.parameters if p.name == name)
-    if not _is_number(draft, own.type, f"'{name}'", fields.value_span("unit")):
+    if not _is_number(builder, own.type, f"'{name}'", fields.value_span("unit")):
         return Argument(name)
-    factor, offset = read_conversion(draft, own.unit, unit, fields.value_span("unit"))
+    factor, offset = read_conversion(builder, own.unit, unit, fields.value_span("unit"))
     return Argument(name, factor=factor, offset=offset)
 
 
 def _result(
-    draft: RegistryBuilder, fields: YamlFields, primitive: Primitive, portal: Portal
+    builder: RegistryBuilder, fields: YamlFields, primitive: Primitive, portal: Portal
 ) -> Argument | None:
     """The result for the caller, from the value that the target emits."""
     emit = fields.section("emit")
     if portal.result == "void":
         place = fields.key_span("emit")
-        draft.report(messages.NOTHING_EMITTED, place, primitive=primitive.name, portal=portal.name)
+        builder.report(messages.NOTHING_EMITTED, place, primitive=primitive.name, portal=portal.name)
         return None
     if "constant" in emit:
-        result = Argument(constant=_constant(draft, emit))
+        result = Argument(constant=_constant(builder, emit))
     elif "parameter" in emit:
         name = emit.text("parameter")
-        result = Argument(_parameter(draft, name, emit.value_span("parameter"), primitive, portal))
+        result = Argument(_parameter(builder, name, emit.value_span("parameter"), primitive, portal))
     else:
-        result = _converted(draft, emit, portal)
+        result = _converted(builder, emit, portal)
     emit.report_unread()
     return result
 
 
-def _converted(draft: RegistryBuilder, emit: YamlFields, portal: Portal) -> Argument:
+def _converted(builder: RegistryBuilder, emit: YamlFields, portal: Portal) -> Argument:
     unit, place = emit.text("unit", required=True), emit.value_span("unit")
-    if not unit or not _is_number(draft, portal.result, f"what '{portal.name}' emits", place):
+    if not unit or not _is_number(builder, portal.result, f"what '{portal.name}' emits", place):
         return Argument()
-    factor, offset = read_conversion(draft, unit, portal.unit, place)
+    factor, offset = read_conversion(builder, unit, portal.unit, place)
     return Argument(factor=factor, offset=offset)
 
 
-def _is_number(draft: RegistryBuilder, type: str, what: str, span: Span) -> bool:
+def _is_number(builder: RegistryBuilder, type: str, expected: str, span: Span) -> bool:
     """Whether a value can be converted; reports one that is not a single number."""
     if type not in ("real", "int"):
-        draft.report(messages.NO_UNIT_HERE, span, what=what, type=type)
+        builder.report(messages.NO_UNIT_HERE, span, what=expected, type=type)
     return type in ("real", "int")
 
 
-def _constant(draft: RegistryBuilder, fields: YamlFields) -> float | int | bool | str:
+def _constant(builder: RegistryBuilder, fields: YamlFields) -> float | int | bool | str:
     node = fields.node("constant")
     if isinstance(node, YamlScalar) and node.value is not None:
         return node.value
-    given = describe(node) if node is not None else "nothing"
-    draft.report(messages.BAD_ARGUMENT, fields.value_span("constant"), given=given)
+    description = describe(node) if node is not None else "nothing"
+    builder.report(messages.BAD_ARGUMENT, fields.value_span("constant"), given=description)
     return 0
 
 
-def _parameter(draft: RegistryBuilder, name: str, span: Span, primitive: Primitive, portal: Portal) -> str:
+def _parameter(builder: RegistryBuilder, name: str, span: Span, primitive: Primitive, portal: Portal) -> str:
     """The name of a canonical parameter, '' when there is none of that name."""
     names = [p.name for p in portal.parameters]
     if name in names:
         return name
-    draft.report(
+    builder.report(
         messages.UNKNOWN_PARAMETER,
         span,
-        hint=draft.similar_name(name, names),
+        hint=builder.similar_name(name, names),
         name=name,
         primitive=primitive.name,
         portal=portal.name,

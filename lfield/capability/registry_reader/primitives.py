@@ -26,51 +26,51 @@ from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry
 
 
-def read_primitives(draft: RegistryBuilder) -> None:
+def read_primitives(builder: RegistryBuilder) -> None:
     """All primitives of all files."""
-    for file, entry, fields in draft.entries("primitives"):
-        draft.define(
-            draft.primitives, _primitive(draft, entry, fields), "the primitive", mission=file.mission
+    for file, entry, fields in builder.entries("primitives"):
+        builder.define(
+            builder.primitives, _primitive(builder, entry, fields), "the primitive", mission=file.mission
         )
 
 
-def _primitive(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Primitive:
+def _primitive(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Primitive:
     name, span = entry.key, entry.key_span
-    draft.check_name(name, TYPE_NAME, "a primitive", span)
+    builder.check_name(name, TYPE_NAME, "a primitive", span)
     if name in RESERVED_TYPES:
-        draft.report(messages.RESERVED_TYPE, span, name=name)
+        builder.report(messages.RESERVED_TYPE, span, name=name)
     id, meaning = fields.text("id", required=True), fields.text("meaning")
-    term = draft.term(id, fields.value_span("id")) if id else ""
+    term = builder.term(id, fields.value_span("id")) if id else ""
     portals = {
-        portal.key: _portal(draft, portal, shape) for portal, shape in fields.section("portals").entries()
+        portal.key: _portal(builder, portal, shape) for portal, shape in fields.section("portals").entries()
     }
     fields.report_unread()
     if not portals:
-        draft.report(messages.NO_PORTALS, span, name=name)
+        builder.report(messages.NO_PORTALS, span, name=name)
     return Primitive(name, term, portals, span, meaning)
 
 
-def _portal(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Portal:
+def _portal(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Portal:
     name, span = entry.key, entry.key_span
-    draft.check_name(name, PORTAL, "a portal", span)
+    builder.check_name(name, PORTAL, "a portal", span)
     if name in OFFER_METHODS:
-        draft.report(messages.RESERVED_PORTAL, span, name=name)
-    parameters = tuple(_parameter(draft, p, f) for p, f in fields.section("parameters").entries())
+        builder.report(messages.RESERVED_PORTAL, span, name=name)
+    parameters = tuple(_parameter(builder, p, f) for p, f in fields.section("parameters").entries())
     result = fields.text("emit", "void", choices=("void", *PORTAL_TYPES))
     effect = fields.text("effect", "actuate", choices=get_args(Effect))
     raises, unit, meaning = fields.texts("raises"), fields.text("unit"), fields.text("meaning")
     fields.report_unread()
     for exception in raises:
-        draft.check_name(exception, TYPE_NAME, "an exception", fields.value_span("raises"))
-    check_unit(draft, unit, result, f"what '{name}' emits", fields.value_span("unit"))
+        builder.check_name(exception, TYPE_NAME, "an exception", fields.value_span("raises"))
+    check_unit(builder, unit, result, f"what '{name}' emits", fields.value_span("unit"))
     return Portal(name, parameters, result, unit, cast(Effect, effect), raises, meaning)
 
 
-def _parameter(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Parameter:
+def _parameter(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Parameter:
     span: Span = entry.key_span
-    draft.check_name(entry.key, NAME, "a parameter", span)
+    builder.check_name(entry.key, NAME, "a parameter", span)
     type = fields.text("type", "real", required=True, choices=PORTAL_TYPES)
     parameter = Parameter(entry.key, type, fields.text("unit"), fields.text("meaning"))
     fields.report_unread()
-    check_unit(draft, parameter.unit, type, f"'{entry.key}'", fields.value_span("unit"))
+    check_unit(builder, parameter.unit, type, f"'{entry.key}'", fields.value_span("unit"))
     return parameter

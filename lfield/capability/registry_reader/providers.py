@@ -44,130 +44,130 @@ _SOURCE = re.compile(
 _EVERY, _RAREST = 1.0, 3600.0
 
 
-def read_providers(draft: RegistryBuilder) -> None:
+def read_providers(builder: RegistryBuilder) -> None:
     """All providers of all files."""
-    scope = NameScope.of_offer(draft.attributes)
-    for file, entry, fields in draft.entries("providers"):
-        provider = _provider(draft, entry, fields, scope)
-        first = draft.providers.get(entry.key)
+    scope = NameScope.of_offer(builder.attributes)
+    for file, entry, fields in builder.entries("providers"):
+        provider = _provider(builder, entry, fields, scope)
+        first = builder.providers.get(entry.key)
         if first is None:
-            draft.providers[entry.key] = provider
+            builder.providers[entry.key] = provider
         elif not file.mission:
-            draft.report_duplicate("the provider", entry.key, entry.key_span, first.span)
+            builder.report_duplicate("the provider", entry.key, entry.key_span, first.span)
         else:
-            draft.providers[entry.key] = _joined(first, provider)
+            builder.providers[entry.key] = _joined(first, provider)
 
 
-def _provider(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields, scope: NameScope) -> Provider:
+def _provider(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields, scope: NameScope) -> Provider:
     name, span = entry.key, entry.key_span
-    draft.check_name(name, TYPE_NAME, "a resource type", span)
-    if name in draft.primitives:
-        draft.report(messages.TYPE_IN_USE, span, name=name, what="a provider")
-    attributes, nominal = _values(draft, fields)
+    builder.check_name(name, TYPE_NAME, "a resource type", span)
+    if name in builder.primitives:
+        builder.report(messages.TYPE_IN_USE, span, name=name, what="a provider")
+    attributes, nominal = _values(builder, fields)
     provider = Provider(
         type=name,
         include=fields.text("include"),
         meaning=fields.text("meaning"),
         attributes=attributes,
         nominal=nominal,
-        live=_live_attributes(draft, fields.section("live")),
-        serves=_serves(draft, fields.section("serves"), scope),
+        live=_live_attributes(builder, fields.section("live")),
+        serves=_serves(builder, fields.section("serves"), scope),
         span=span,
     )
     fields.report_unread()
     return provider
 
 
-def _values(draft: RegistryBuilder, fields: YamlFields) -> tuple[dict[str, Value], frozenset[str]]:
+def _values(builder: RegistryBuilder, fields: YamlFields) -> tuple[dict[str, Value], frozenset[str]]:
     """The values in `attributes` and `nominal`, and the names of the nominal ones."""
     stated, usual = fields.section("attributes"), fields.section("nominal")
-    values, nominal = read_values(draft, stated), read_values(draft, usual)
+    values, nominal = read_values(builder, stated), read_values(builder, usual)
     for name in values.keys() & nominal.keys():
-        draft.report(messages.STATED_AND_NOMINAL, usual.key_span(name), name=name)
+        builder.report(messages.STATED_AND_NOMINAL, usual.key_span(name), name=name)
     return {**nominal, **values}, frozenset(nominal.keys() - values.keys())
 
 
-def _joined(ours: Provider, mission: Provider) -> Provider:
+def _joined(shipped: Provider, mission: Provider) -> Provider:
     """A provider with the entries of a mission, which take precedence over the shipped ones."""
     return replace(
-        ours,
-        include=mission.include or ours.include,
-        meaning=mission.meaning or ours.meaning,
-        attributes={**ours.attributes, **mission.attributes},
-        nominal=mission.nominal | (ours.nominal - mission.attributes.keys()),
-        live={**ours.live, **mission.live},
-        serves={**ours.serves, **mission.serves},
+        shipped,
+        include=mission.include or shipped.include,
+        meaning=mission.meaning or shipped.meaning,
+        attributes={**shipped.attributes, **mission.attributes},
+        nominal=mission.nominal | (shipped.nominal - mission.attributes.keys()),
+        live={**shipped.live, **mission.live},
+        serves={**shipped.serves, **mission.serves},
     )
 
 
-def _serves(draft: RegistryBuilder, section: YamlFields, scope: NameScope) -> dict[str, ServedPrimitive]:
+def _serves(builder: RegistryBuilder, section: YamlFields, scope: NameScope) -> dict[str, ServedPrimitive]:
     serves = {}
     for entry, fields in section.entries():
-        primitive = draft.primitive(entry.key, entry.key_span)
+        primitive = builder.primitive(entry.key, entry.key_span)
         if primitive is None:
             continue
-        attributes, nominal = _values(draft, fields)
+        attributes, nominal = _values(builder, fields)
         serves[entry.key] = ServedPrimitive(
             primitive=entry.key,
-            portals=read_portals(draft, fields, primitive, entry.key_span),
+            portals=read_portals(builder, fields, primitive, entry.key_span),
             attributes=attributes,
             nominal=nominal,
-            when=read_expression(draft, fields.node("when"), scope, "boolean"),
+            when=read_expression(builder, fields.node("when"), scope, "boolean"),
             span=entry.key_span,
         )
         fields.report_unread()
     return serves
 
 
-def read_agents(draft: RegistryBuilder, deployed: Collection[str] | None) -> None:
+def read_agents(builder: RegistryBuilder, deployed: Collection[str] | None) -> None:
     """The values of single agents; when the `deployed` ones are given, any other name is a mistake."""
-    for _, entry, fields in draft.entries("agents"):
+    for _, entry, fields in builder.entries("agents"):
         if deployed is not None and entry.key not in deployed:
-            hint = draft.similar_name(entry.key, deployed)
+            hint = builder.similar_name(entry.key, deployed)
             known = listed(sorted(deployed))
-            draft.report(messages.UNKNOWN_AGENT, entry.key_span, hint=hint, name=entry.key, agents=known)
-        draft.agents.setdefault(entry.key, {}).update(read_values(draft, fields))
+            builder.report(messages.UNKNOWN_AGENT, entry.key_span, hint=hint, name=entry.key, agents=known)
+        builder.agents.setdefault(entry.key, {}).update(read_values(builder, fields))
 
 
 # --- live attributes ----------------------------------------------------------------------------------
 
 
-def _live_attributes(draft: RegistryBuilder, section: YamlFields) -> dict[str, LiveAttribute]:
-    lives = {}
+def _live_attributes(builder: RegistryBuilder, section: YamlFields) -> dict[str, LiveAttribute]:
+    live_attributes = {}
     for entry in section.named():
-        live = _live(draft, entry)
+        live = _live(builder, entry)
         if live is not None:
-            lives[entry.key] = live
-    return lives
+            live_attributes[entry.key] = live
+    return live_attributes
 
 
-def _live(draft: RegistryBuilder, entry: YamlEntry) -> LiveAttribute | None:
+def _live(builder: RegistryBuilder, entry: YamlEntry) -> LiveAttribute | None:
     """`fc.battery`, `fc.position[0]`, `{from: fc.battery, unit: "%"}`, or a portal as `load()`."""
-    attribute = draft.attribute(entry.key, entry.key_span)
-    text, place, unit, every = _source(draft, entry)
+    attribute = builder.attribute(entry.key, entry.key_span)
+    text, place, unit, interval = _source(builder, entry)
     match = _SOURCE.fullmatch(text)
     if match is None:
-        draft.report(messages.BAD_LIVE, place, text=text[:80])
+        builder.report(messages.BAD_LIVE, place, text=text[:80])
         return None
     if attribute is None:
         return None
-    factor, offset = read_conversion(draft, unit, attribute.unit, place) if unit else (1.0, 0.0)
+    factor, offset = read_conversion(builder, unit, attribute.unit, place) if unit else (1.0, 0.0)
     index = int(match["index"]) if match["index"] else None
-    if match["portal"] and attribute.live and every > attribute.max_age:
-        draft.report(
-            messages.TOO_RARE, place, name=entry.key, every=f"{every:g}", age=f"{attribute.max_age:g}"
+    if match["portal"] and attribute.live and interval > attribute.max_age:
+        builder.report(
+            messages.TOO_RARE, place, name=entry.key, every=f"{interval:g}", age=f"{attribute.max_age:g}"
         )
     device, quantity = match["device"] or "", match["quantity"] or match["portal"]
-    return LiveAttribute(entry.key, device, quantity, place, factor, offset, index, unit, every)
+    return LiveAttribute(entry.key, device, quantity, place, factor, offset, index, unit, interval)
 
 
-def _source(draft: RegistryBuilder, entry: YamlEntry) -> tuple[str, Span, str, float]:
+def _source(builder: RegistryBuilder, entry: YamlEntry) -> tuple[str, Span, str, float]:
     """The source of a live value, its place, its unit if given, and its polling interval."""
-    section = YamlFields(YamlMapping({entry.key: entry}, entry.key_span), draft.found, "'live'")
+    section = YamlFields(YamlMapping({entry.key: entry}, entry.key_span), builder.found, "'live'")
     if not isinstance(entry.value, YamlMapping):
         return section.text(entry.key), entry.value.span, "", _EVERY
     fields = section.section(entry.key)
     text, unit = fields.text("from", required=True), fields.text("unit")
-    every = fields.number("every", _EVERY, minimum=_EVERY, maximum=_RAREST)
+    interval = fields.number("every", _EVERY, minimum=_EVERY, maximum=_RAREST)
     fields.report_unread()
-    return text, fields.value_span("from"), unit, every
+    return text, fields.value_span("from"), unit, interval

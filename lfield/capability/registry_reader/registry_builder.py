@@ -104,31 +104,31 @@ class RegistryBuilder(Struct):
                     return
                 yield file, entry, fields
 
-    def check_name(self, name: str, pattern: re.Pattern[str], what: str, span: Span) -> None:
+    def check_name(self, name: str, pattern: re.Pattern[str], kind: str, span: Span) -> None:
         """Report a name that is invalid or reserved in L."""
         if len(name) > MAX_NAME or not pattern.fullmatch(name):
-            shown = name if len(name) <= MAX_NAME else f"{name[:MAX_NAME]}..."
-            self.report(messages.BAD_NAME, span, name=shown, what=what, example=_EXAMPLES[pattern])
+            excerpt = name if len(name) <= MAX_NAME else f"{name[:MAX_NAME]}..."
+            self.report(messages.BAD_NAME, span, name=excerpt, what=kind, example=_EXAMPLES[pattern])
         elif pattern in (NAME, PORTAL) and name in KEYWORDS:
-            self.report(messages.KEYWORD, span, name=name, what=what)
+            self.report(messages.KEYWORD, span, name=name, what=kind)
 
-    def report_duplicate(self, what: str, name: str, span: Span, first: Span) -> None:
+    def report_duplicate(self, kind: str, name: str, span: Span, first: Span) -> None:
         """Report a second definition of the same name."""
-        self.report(messages.DUPLICATE, span, what=what, name=name, file=first.source.name, line=first.line)
+        self.report(messages.DUPLICATE, span, what=kind, name=name, file=first.source.name, line=first.line)
 
-    def report_redefinition(self, what: str, name: str, span: Span, first: Span) -> None:
+    def report_redefinition(self, kind: str, name: str, span: Span, first: Span) -> None:
         """Report a mission that gives a name of the registry another meaning."""
-        self.report(messages.REDEFINED, span, what=what, name=name, file=first.source.name, line=first.line)
+        self.report(messages.REDEFINED, span, what=kind, name=name, file=first.source.name, line=first.line)
 
-    def define(self, known: dict[str, D], made: D, what: str, *, mission: bool) -> None:
+    def define(self, known: dict[str, D], definition: D, kind: str, *, mission: bool) -> None:
         """Add an attribute or a primitive; a mission may repeat a shipped one, but not change it."""
-        first = known.get(made.name)
+        first = known.get(definition.name)
         if first is None:
-            known[made.name] = made
+            known[definition.name] = definition
         elif not mission:
-            self.report_duplicate(what, made.name, made.span, first.span)
-        elif replace(made, span=first.span, meaning=first.meaning) != first:
-            self.report_redefinition(what, made.name, made.span, first.span)
+            self.report_duplicate(kind, definition.name, definition.span, first.span)
+        elif replace(definition, span=first.span, meaning=first.meaning) != first:
+            self.report_redefinition(kind, definition.name, definition.span, first.span)
 
     def report_unknown_portal(self, primitive: Primitive, name: str, span: Span) -> None:
         """Report a portal that a primitive does not have."""

@@ -83,9 +83,9 @@ def check_files(
     if mission is not None:
         paths.append((mission, True))
     opened = (_open(path, is_mission, found) for path, is_mission in paths)
-    draft = RegistryBuilder(tuple(file for file in opened if file is not None), found)
-    _read_sections(draft, agents)
-    return (None if found.errors else _registry(draft)), found.in_order()
+    builder = RegistryBuilder(tuple(file for file in opened if file is not None), found)
+    _read_sections(builder, agents)
+    return (None if found.errors else _registry(builder)), found.in_order()
 
 
 def _open(path: Path, mission: bool, found: Diagnostics) -> RegistryFile | None:
@@ -100,33 +100,33 @@ def _open(path: Path, mission: bool, found: Diagnostics) -> RegistryFile | None:
     return RegistryFile(path, top, mission)
 
 
-def _read_sections(draft: RegistryBuilder, agents: Collection[str] | None) -> None:
+def _read_sections(builder: RegistryBuilder, agents: Collection[str] | None) -> None:
     """All sections in the order in which they refer to one another."""
-    read_taxonomy(draft)
-    read_attributes(draft)
-    read_primitives(draft)
-    read_providers(draft)
-    read_rules(draft)
-    read_agents(draft, agents)
-    read_ranking(draft)
-    for file in draft.files:
+    read_taxonomy(builder)
+    read_attributes(builder)
+    read_primitives(builder)
+    read_providers(builder)
+    read_rules(builder)
+    read_agents(builder, agents)
+    read_ranking(builder)
+    for file in builder.files:
         file.top.report_unread()
-    draft.equivalences.update(subsumptions(draft.primitives))
-    check_cycles(draft)
-    check_ways(draft)
+    builder.equivalences.update(subsumptions(builder.primitives))
+    check_cycles(builder)
+    check_ways(builder)
 
 
-def _registry(draft: RegistryBuilder) -> Registry:
+def _registry(builder: RegistryBuilder) -> Registry:
     registry = Registry(
-        terms=draft.terms,
-        attributes=draft.attributes,
-        primitives=draft.primitives,
-        providers=draft.providers,
-        equivalences=draft.equivalences,
-        compositions=draft.compositions,
-        agents=draft.agents,
-        weights=draft.weights,
-        version=draft.version,
+        terms=builder.terms,
+        attributes=builder.attributes,
+        primitives=builder.primitives,
+        providers=builder.providers,
+        equivalences=builder.equivalences,
+        compositions=builder.compositions,
+        agents=builder.agents,
+        weights=builder.weights,
+        version=builder.version,
     )
     return replace(registry, digest=digest(registry))
 

@@ -17,7 +17,7 @@ from lfield.text.suggestions import listed
 # --- calls ---------------------------------------------------------------------------------------------
 
 
-def check_calls(draft: RegistryBuilder, rule: Equivalence, serves: Primitive, by: Primitive) -> None:
+def check_calls(builder: RegistryBuilder, rule: Equivalence, serves: Primitive, by: Primitive) -> None:
     """Report portals that `by` does not have, and arguments and results of other types.
 
     Both sides of a one-to-one rule are primitives, so all types are known.
@@ -27,40 +27,40 @@ def check_calls(draft: RegistryBuilder, rule: Equivalence, serves: Primitive, by
         served = rule.portals[name]
         target = by.portals.get(served.target)
         if target is not None:
-            _check_arguments(draft, served, portal, target, f"{by.name}.{target.name}")
-            _check_result(draft, served, serves.name, portal, target)
+            _check_arguments(builder, served, portal, target, f"{by.name}.{target.name}")
+            _check_result(builder, served, serves.name, portal, target)
         elif served.span is rule.span:
             missing.append(name)
         else:
-            draft.report_unknown_portal(by, served.target, served.span)
+            builder.report_unknown_portal(by, served.target, served.span)
     if missing:
-        draft.report(
+        builder.report(
             messages.MISSING_PORTAL, rule.span, portals=listed(missing), serves=serves.name, by=by.name
         )
 
 
 def _check_result(
-    draft: RegistryBuilder, served: PortalMap, primitive: str, portal: Portal, target: Portal
+    builder: RegistryBuilder, served: PortalMap, primitive: str, portal: Portal, target: Portal
 ) -> None:
     """Report a portal whose result for the caller is not that of the canonical one, in its unit."""
     if portal.result == "void":
         return
-    given, result = result_type(served.result, portal, target.result), served.result
-    if not fits(given, portal.result):
-        draft.found.add(wrong_result(served.span, primitive, portal, given))
+    result_given, result = result_type(served.result, portal, target.result), served.result
+    if not fits(result_given, portal.result):
+        builder.found.add(wrong_result(served.span, primitive, portal, result_given))
     elif result is None or (not result.parameter and result.constant is None):
-        what = f"what {primitive}.{portal.name} emits"
-        _check_unit(draft, served.span, result or Argument(), target.unit, portal.unit, what)
+        subject = f"what {primitive}.{portal.name} emits"
+        _check_unit(builder, served.span, result or Argument(), target.unit, portal.unit, subject)
 
 
-def wrong_result(span: Span, primitive: str, portal: Portal, given: str) -> Diagnostic:
+def wrong_result(span: Span, primitive: str, portal: Portal, type_given: str) -> Diagnostic:
     """The finding that a portal returns another result than the canonical one emits."""
     return messages.WRONG_RESULT.at(
         span,
         primitive=primitive,
         portal=portal.name,
         expected=portal.result,
-        given="nothing" if given == "void" else given,
+        given="nothing" if type_given == "void" else type_given,
     )
 
 
@@ -78,61 +78,61 @@ def result_type(result: Argument | None, portal: Portal, emitted: str) -> str:
 
 
 def _check_arguments(
-    draft: RegistryBuilder, served: PortalMap, portal: Portal, target: Portal, shown: str
+    builder: RegistryBuilder, served: PortalMap, portal: Portal, target: Portal, target_text: str
 ) -> None:
     if len(served.arguments) != len(target.parameters):
-        draft.report(
+        builder.report(
             messages.WRONG_COUNT,
             served.span,
-            target=shown,
+            target=target_text,
             expected=len(target.parameters),
             given=len(served.arguments),
             parameters=listed((f"{p.type} {p.name}" for p in target.parameters), "nothing"),
         )
         return
     for number, (argument, parameter) in enumerate(zip(served.arguments, target.parameters, strict=True), 1):
-        given = argument_type(argument, portal)
-        _check_argument(draft, served.span, given, parameter.type, number, shown)
+        type_given = argument_type(argument, portal)
+        _check_argument(builder, served.span, type_given, parameter.type, number, target_text)
         own = [p.unit for p in portal.parameters if p.name == argument.parameter]
-        if own and fits(given, parameter.type):
-            what = f"argument {number} of {shown}"
-            _check_unit(draft, served.span, argument, own[0], parameter.unit, what)
+        if own and fits(type_given, parameter.type):
+            subject = f"argument {number} of {target_text}"
+            _check_unit(builder, served.span, argument, own[0], parameter.unit, subject)
 
 
 def _check_argument(
-    draft: RegistryBuilder, span: Span, given: str, expected: str, number: int, target: str
+    builder: RegistryBuilder, span: Span, type_given: str, expected: str, number: int, target: str
 ) -> None:
-    if not fits(given, expected):
-        draft.report(
-            messages.WRONG_ARGUMENT, span, number=number, target=target, expected=expected, given=given
+    if not fits(type_given, expected):
+        builder.report(
+            messages.WRONG_ARGUMENT, span, number=number, target=target, expected=expected, given=type_given
         )
 
 
 def _check_unit(
-    draft: RegistryBuilder, span: Span, given: Argument, unit: str, expected: str, what: str
+    builder: RegistryBuilder, span: Span, argument: Argument, unit: str, expected: str, subject: str
 ) -> None:
     """Report a number in `unit` that is passed, converted or not, where another unit is required."""
-    if units.conversion(unit, expected) != (given.factor, given.offset):
-        draft.report(messages.WRONG_UNIT, span, what=what, expected=expected or "1", given=unit or "1")
+    if units.conversion(unit, expected) != (argument.factor, argument.offset):
+        builder.report(messages.WRONG_UNIT, span, what=subject, expected=expected or "1", given=unit or "1")
 
 
 # --- names ---------------------------------------------------------------------------------------------
 
 
-def check_ways(draft: RegistryBuilder) -> None:
+def check_ways(builder: RegistryBuilder) -> None:
     """Report rules and needs whose names differ in the registry and not in L: one field for two."""
     first_users: dict[tuple[str, str], str] = {}
-    for primitive, way, name, span in _ways(draft):
-        other = first_users.setdefault((primitive, way), name)
+    for primitive, field, name, span in _class_fields(builder):
+        other = first_users.setdefault((primitive, field), name)
         if other != name:
-            draft.report(messages.SAME_WAY, span, name=name, other=other, way=way, primitive=primitive)
+            builder.report(messages.SAME_WAY, span, name=name, other=other, way=field, primitive=primitive)
 
 
-def _ways(draft: RegistryBuilder) -> Iterator[tuple[str, str, str, Span]]:
+def _class_fields(builder: RegistryBuilder) -> Iterator[tuple[str, str, str, Span]]:
     """Primitive, field, the name from which it is derived, and the place of that name."""
-    for equivalence in draft.equivalences.values():
+    for equivalence in builder.equivalences.values():
         yield equivalence.serves, ways.equivalent(equivalence.name), equivalence.name, equivalence.span
-    for rule in draft.compositions.values():
+    for rule in builder.compositions.values():
         yield rule.serves, ways.composed(rule.name), rule.name, rule.span
         for need in rule.needs.values():
             name = f"{rule.name}.{need.name}"
@@ -145,36 +145,40 @@ def _ways(draft: RegistryBuilder) -> Iterator[tuple[str, str, str, Span]]:
 Graph = Mapping[str, Sequence[tuple[str, str]]]
 
 
-def check_cycles(draft: RegistryBuilder) -> None:
+def check_cycles(builder: RegistryBuilder) -> None:
     """Report every cycle through a need, with its path.
 
     Rules are edges from the served primitive to the serving one. One-to-one rules may be cyclic, since each
     search runs once. A need may be the served primitive itself: two haul more than one. No other cycle may
     contain a need, because compositions would be unbounded.
     """
-    graph = _graph(draft)
-    for rule in draft.compositions.values():
+    graph = _graph(builder)
+    for rule in builder.compositions.values():
         for need in rule.needs.values():
             back = _path(graph, need.primitive, rule.serves)
             if back:
-                steps = [rule.serves, f"{need.primitive} ({rule.name})", *(f"{to} ({by})" for to, by in back)]
-                place = _blamed_span(draft, need.span, [by for _, by in back])
-                draft.report(messages.CYCLE, place, path=" -> ".join(steps))
+                steps = [
+                    rule.serves,
+                    f"{need.primitive} ({rule.name})",
+                    *(f"{primitive} ({by})" for primitive, by in back),
+                ]
+                place = _blamed_span(builder, need.span, [by for _, by in back])
+                builder.report(messages.CYCLE, place, path=" -> ".join(steps))
 
 
-def _blamed_span(draft: RegistryBuilder, need: Span, rules: Sequence[str]) -> Span:
+def _blamed_span(builder: RegistryBuilder, need: Span, rules: Sequence[str]) -> Span:
     """The place where a cycle was closed: at a rule of the mission, if it leads through a shipped one."""
-    mission = {str(file.path) for file in draft.files if file.mission}
-    known: Mapping[str, Equivalence | Composition] = {**draft.equivalences, **draft.compositions}
+    mission = {str(file.path) for file in builder.files if file.mission}
+    known: Mapping[str, Equivalence | Composition] = {**builder.equivalences, **builder.compositions}
     spans = [need, *(known[rule].span for rule in rules)]
     return next((span for span in spans if span.source.name in mission), need)
 
 
-def _graph(draft: RegistryBuilder) -> Graph:
-    graph: dict[str, list[tuple[str, str]]] = {name: [] for name in draft.primitives}
-    for equivalence in draft.equivalences.values():
+def _graph(builder: RegistryBuilder) -> Graph:
+    graph: dict[str, list[tuple[str, str]]] = {name: [] for name in builder.primitives}
+    for equivalence in builder.equivalences.values():
         graph[equivalence.serves].append((equivalence.by, equivalence.name))
-    for composition in draft.compositions.values():
+    for composition in builder.compositions.values():
         needs = composition.needs.values()
         graph[composition.serves].extend((need.primitive, composition.name) for need in needs)
     return graph
@@ -186,10 +190,10 @@ def _path(graph: Graph, start: str, goal: str) -> list[tuple[str, str]] | None:
     waiting = deque([start])
     while waiting and goal not in predecessors:
         node = waiting.popleft()
-        for to, rule in graph[node]:
-            if to not in predecessors:
-                predecessors[to] = (node, rule)
-                waiting.append(to)
+        for primitive, rule in graph[node]:
+            if primitive not in predecessors:
+                predecessors[primitive] = (node, rule)
+                waiting.append(primitive)
     if goal not in predecessors:
         return None
     steps: list[tuple[str, str]] = []

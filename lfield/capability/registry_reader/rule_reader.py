@@ -45,69 +45,71 @@ from lfield.text.yaml_source import YamlEntry, YamlList, YamlScalar
 MAX_NEEDS = 8
 
 
-def read_rules(draft: RegistryBuilder) -> None:
+def read_rules(builder: RegistryBuilder) -> None:
     """All rules of all files."""
     spans: dict[str, Span] = {}
-    for file, entry, fields in draft.entries("equivalences"):
+    for file, entry, fields in builder.entries("equivalences"):
         name = entry.key
-        draft.check_name(name, RULE, "a rule", entry.key_span)
+        builder.check_name(name, RULE, "a rule", entry.key_span)
         if name in spans and not file.mission:
-            draft.report_duplicate("the rule", name, entry.key_span, spans[name])
+            builder.report_duplicate("the rule", name, entry.key_span, spans[name])
             continue
         spans[name] = entry.key_span
-        draft.equivalences.pop(name, None)
-        draft.compositions.pop(name, None)
-        _read_rule(draft, entry, fields, file.path.parent)
+        builder.equivalences.pop(name, None)
+        builder.compositions.pop(name, None)
+        _read_rule(builder, entry, fields, file.path.parent)
 
 
-def _read_rule(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields, folder: Path) -> None:
-    serves = draft.primitive(fields.text("serves", required=True), fields.value_span("serves"))
+def _read_rule(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields, folder: Path) -> None:
+    serves = builder.primitive(fields.text("serves", required=True), fields.value_span("serves"))
     if ("by" in fields) == ("needs" in fields):
-        draft.report(messages.NEITHER_NOR, entry.key_span, name=entry.key)
+        builder.report(messages.NEITHER_NOR, entry.key_span, name=entry.key)
     elif serves is None:
         pass  # no part of the rule could be checked
     elif "by" in fields:
-        _one_to_one(draft, entry, fields, serves)
+        _one_to_one(builder, entry, fields, serves)
     else:
-        draft.compositions[entry.key] = _one_to_many(draft, entry, fields, serves, folder)
+        builder.compositions[entry.key] = _one_to_many(builder, entry, fields, serves, folder)
 
 
-def _one_to_one(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields, serves: Primitive) -> None:
-    by = draft.primitive(fields.text("by", required=True), fields.value_span("by"))
+def _one_to_one(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields, serves: Primitive) -> None:
+    by = builder.primitive(fields.text("by", required=True), fields.value_span("by"))
     if by is serves:
-        draft.report(messages.SERVES_ITSELF, fields.value_span("by"), primitive=serves.name)
-    portals = read_portals(draft, fields, serves, entry.key_span)
+        builder.report(messages.SERVES_ITSELF, fields.value_span("by"), primitive=serves.name)
+    portals = read_portals(builder, fields, serves, entry.key_span)
     rule = Equivalence(
         name=entry.key,
         serves=serves.name,
         by=by.name if by is not None else "",
         portals=portals,
-        when=read_expression(draft, fields.node("when"), NameScope.of_offer(draft.attributes), "boolean"),
+        when=read_expression(builder, fields.node("when"), NameScope.of_offer(builder.attributes), "boolean"),
         loss=fields.number("loss", minimum=0.0, maximum=1.0),
         meaning=fields.text("meaning"),
         span=entry.key_span,
     )
     fields.report_unread()
     if by is not None:
-        check_calls(draft, rule, serves, by)
-        draft.equivalences[entry.key] = rule
+        check_calls(builder, rule, serves, by)
+        builder.equivalences[entry.key] = rule
 
 
 def _one_to_many(
-    draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields, serves: Primitive, folder: Path
+    builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields, serves: Primitive, folder: Path
 ) -> Composition:
     stated, worth = fields.section("needs"), fields.section("attributes")
-    parts = NameScope.of_parts(draft.attributes, [need.key for need in stated.named()])
-    whole = NameScope.of_parts(draft.attributes, parts.needs, [attribute.key for attribute in worth.named()])
+    parts = NameScope.of_parts(builder.attributes, [need.key for need in stated.named()])
+    whole = NameScope.of_parts(
+        builder.attributes, parts.needs, [attribute.key for attribute in worth.named()]
+    )
     composition = Composition(
         name=entry.key,
         serves=serves.name,
-        needs={need.name: need for need in _needs(draft, stated, fields.key_span("needs"))},
-        through=_through(draft, fields),
-        source=_source(draft, fields, folder),
-        where=_conditions(draft, fields, whole),
-        distinct=_distinct(draft, fields, [need.key for need in stated.named()]),
-        attributes=_whole_attributes(draft, worth, parts),
+        needs={need.name: need for need in _needs(builder, stated, fields.key_span("needs"))},
+        through=_through(builder, fields),
+        source=_source(builder, fields, folder),
+        where=_conditions(builder, fields, whole),
+        distinct=_distinct(builder, fields, [need.key for need in stated.named()]),
+        attributes=_whole_attributes(builder, worth, parts),
         loss=fields.number("loss", minimum=0.0, maximum=1.0),
         meaning=fields.text("meaning"),
         span=entry.key_span,
@@ -116,26 +118,26 @@ def _one_to_many(
     return composition
 
 
-def _needs(draft: RegistryBuilder, section: YamlFields, span: Span) -> list[Need]:
+def _needs(builder: RegistryBuilder, section: YamlFields, span: Span) -> list[Need]:
     if not 0 < len(section) <= MAX_NEEDS:
-        draft.report(messages.NUMBER_OF_NEEDS, span, most=MAX_NEEDS, count=len(section))
-    scope, needs = NameScope.of_offer(draft.attributes), []
+        builder.report(messages.NUMBER_OF_NEEDS, span, most=MAX_NEEDS, count=len(section))
+    scope, needs = NameScope.of_offer(builder.attributes), []
     for entry in section.named():
-        draft.check_name(entry.key, NAME, "a part", entry.key_span)
+        builder.check_name(entry.key, NAME, "a part", entry.key_span)
         if isinstance(entry.value, YamlScalar) and isinstance(entry.value.value, str):
             # `left: Haul` is short for `left: {capability: Haul}`.
             name, place, when = entry.value.value, entry.value.span, None
         else:
             fields = section.section(entry.key)
             name, place = fields.text("capability", required=True), fields.value_span("capability")
-            when = read_expression(draft, fields.node("when"), scope, "boolean")
+            when = read_expression(builder, fields.node("when"), scope, "boolean")
             fields.report_unread()
-        if draft.primitive(name, place) is not None:
+        if builder.primitive(name, place) is not None:
             needs.append(Need(entry.key, name, entry.key_span, when))
     return needs
 
 
-def _distinct(draft: RegistryBuilder, fields: YamlFields, parts: list[str]) -> tuple[str, ...]:
+def _distinct(builder: RegistryBuilder, fields: YamlFields, parts: list[str]) -> tuple[str, ...]:
     """The parts that have no agent in common: all of them for `true`."""
     node = fields.node("distinct")
     named = tuple(parts) if isinstance(node, YamlScalar) and node.value is True else fields.texts("distinct")
@@ -147,42 +149,44 @@ def _distinct(draft: RegistryBuilder, fields: YamlFields, parts: list[str]) -> t
         problem = "what is distinct is so from another one"
     else:
         return named
-    draft.report(messages.NOT_DISTINCT, fields.value_span("distinct"), problem=problem, parts=listed(parts))
+    builder.report(messages.NOT_DISTINCT, fields.value_span("distinct"), problem=problem, parts=listed(parts))
     return ()
 
 
-def _through(draft: RegistryBuilder, fields: YamlFields) -> str:
+def _through(builder: RegistryBuilder, fields: YamlFields) -> str:
     """The class in L; its name must be free for it."""
     name, place = fields.text("through", required=True), fields.value_span("through")
     if name:
-        draft.check_name(name, TYPE_NAME, "a class", place)
-    if name in draft.primitives:
-        draft.report(messages.TYPE_IN_USE, place, name=name, what="a class")
+        builder.check_name(name, TYPE_NAME, "a class", place)
+    if name in builder.primitives:
+        builder.report(messages.TYPE_IN_USE, place, name=name, what="a class")
     return name
 
 
-def _source(draft: RegistryBuilder, fields: YamlFields, folder: Path) -> Path:
+def _source(builder: RegistryBuilder, fields: YamlFields, folder: Path) -> Path:
     """The file with the class in L, relative to the folder of the registry file."""
     text = fields.text("source", required=True)
     path = folder / text
     if text and not os.path.isfile(path):
-        draft.report(messages.NO_SOURCE, fields.value_span("source"), path=repr(text))
+        builder.report(messages.NO_SOURCE, fields.value_span("source"), path=repr(text))
     return path
 
 
-def _conditions(draft: RegistryBuilder, fields: YamlFields, scope: NameScope) -> tuple[Expression, ...]:
-    read = (read_expression(draft, node, scope, "boolean") for node in fields.items("where"))
+def _conditions(builder: RegistryBuilder, fields: YamlFields, scope: NameScope) -> tuple[Expression, ...]:
+    read = (read_expression(builder, node, scope, "boolean") for node in fields.items("where"))
     return tuple(expression for expression in read if expression is not None)
 
 
-def _whole_attributes(draft: RegistryBuilder, section: YamlFields, scope: NameScope) -> dict[str, Expression]:
+def _whole_attributes(
+    builder: RegistryBuilder, section: YamlFields, scope: NameScope
+) -> dict[str, Expression]:
     """The attributes of the whole: an expression over the parts for each."""
     worth = {}
     for entry in section.named():
-        attribute = draft.attribute(entry.key, entry.key_span)
+        attribute = builder.attribute(entry.key, entry.key_span)
         if attribute is None:
             continue
-        expression = read_attribute_expression(draft, entry.value, scope, attribute)
+        expression = read_attribute_expression(builder, entry.value, scope, attribute)
         if expression is not None:
             worth[entry.key] = expression
     return worth

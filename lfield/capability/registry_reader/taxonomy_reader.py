@@ -24,40 +24,40 @@ from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry
 
 
-def read_taxonomy(draft: RegistryBuilder) -> None:
+def read_taxonomy(builder: RegistryBuilder) -> None:
     """The version, all terms of all files, then the references between them."""
-    _read_version(draft)
+    _read_version(builder)
     replacements: dict[str, Span] = {}
     alias_spans: dict[tuple[str, str], Span] = {}
-    for file, entry, fields in draft.entries("taxonomy"):
-        term = _term(draft, entry, fields)
-        first = draft.terms.get(term.id)
+    for file, entry, fields in builder.entries("taxonomy"):
+        term = _term(builder, entry, fields)
+        first = builder.terms.get(term.id)
         if first is not None and not file.mission:
-            draft.report_duplicate("the term", term.id, entry.key_span, first.span)
+            builder.report_duplicate("the term", term.id, entry.key_span, first.span)
             continue
         if term.deprecated:
             replacements[term.id] = fields.value_span("deprecated")
         for alias in term.aliases:
             alias_spans[term.id, alias] = fields.value_span("aliases")
-        draft.terms[term.id] = term if first is None else _joined(first, term)
-    _check_parents(draft)
-    _resolve_aliases(draft, alias_spans)
-    _resolve_replacements(draft, replacements)
+        builder.terms[term.id] = term if first is None else _joined(first, term)
+    _check_parents(builder)
+    _resolve_aliases(builder, alias_spans)
+    _resolve_replacements(builder, replacements)
 
 
-def _read_version(draft: RegistryBuilder) -> None:
+def _read_version(builder: RegistryBuilder) -> None:
     """Read the version of the taxonomy: a mission's file names the version it was written for."""
-    for file in sorted(draft.files, key=lambda file: file.mission):
+    for file in sorted(builder.files, key=lambda file: file.mission):
         required = file.top.integer("taxonomy_version", minimum=1, maximum=1_000_000)
         if not file.mission:
-            draft.require_version(required)
-        elif required > draft.version:
+            builder.require_version(required)
+        elif required > builder.version:
             span = file.top.value_span("taxonomy_version")
-            draft.report(messages.TAXONOMY_VERSION, span, expected=required, version=draft.version)
+            builder.report(messages.TAXONOMY_VERSION, span, expected=required, version=builder.version)
 
 
-def _term(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> TaxonomyTerm:
-    draft.check_name(entry.key, DOTTED, "a term", entry.key_span)
+def _term(builder: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> TaxonomyTerm:
+    builder.check_name(entry.key, DOTTED, "a term", entry.key_span)
     term = TaxonomyTerm(
         id=entry.key,
         name=fields.text("name"),
@@ -68,52 +68,52 @@ def _term(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Taxon
     )
     fields.report_unread()
     for alias in term.aliases:
-        draft.check_name(alias, DOTTED, "a term", fields.value_span("aliases"))
+        builder.check_name(alias, DOTTED, "a term", fields.value_span("aliases"))
     return term
 
 
-def _joined(ours: TaxonomyTerm, mission: TaxonomyTerm) -> TaxonomyTerm:
+def _joined(shipped: TaxonomyTerm, mission: TaxonomyTerm) -> TaxonomyTerm:
     """A term with the additions of a mission."""
     return replace(
-        ours,
-        name=mission.name or ours.name,
-        meaning=mission.meaning or ours.meaning,
-        aliases=tuple(dict.fromkeys((*ours.aliases, *mission.aliases))),
-        deprecated=mission.deprecated or ours.deprecated,
+        shipped,
+        name=mission.name or shipped.name,
+        meaning=mission.meaning or shipped.meaning,
+        aliases=tuple(dict.fromkeys((*shipped.aliases, *mission.aliases))),
+        deprecated=mission.deprecated or shipped.deprecated,
     )
 
 
-def _check_parents(draft: RegistryBuilder) -> None:
-    for term in draft.terms.values():
+def _check_parents(builder: RegistryBuilder) -> None:
+    for term in builder.terms.values():
         parent = term.id.rpartition(".")[0]
-        if parent and parent not in draft.terms:
-            hint = draft.similar_name(parent, draft.terms)
-            draft.report(messages.NO_PARENT, term.span, hint=hint, id=term.id, parent=parent)
+        if parent and parent not in builder.terms:
+            hint = builder.similar_name(parent, builder.terms)
+            builder.report(messages.NO_PARENT, term.span, hint=hint, id=term.id, parent=parent)
 
 
-def _resolve_aliases(draft: RegistryBuilder, spans: dict[tuple[str, str], Span]) -> None:
-    for term in draft.terms.values():
+def _resolve_aliases(builder: RegistryBuilder, spans: dict[tuple[str, str], Span]) -> None:
+    for term in builder.terms.values():
         for alias in term.aliases:
-            in_use_by = alias if alias in draft.terms else draft.aliases.get(alias)
+            in_use_by = alias if alias in builder.terms else builder.aliases.get(alias)
             if in_use_by is not None:
-                draft.report(messages.ALIAS_IN_USE, spans[term.id, alias], alias=alias, id=in_use_by)
+                builder.report(messages.ALIAS_IN_USE, spans[term.id, alias], alias=alias, id=in_use_by)
             else:
-                draft.aliases[alias] = term.id
+                builder.aliases[alias] = term.id
 
 
-def _resolve_replacements(draft: RegistryBuilder, spans: dict[str, Span]) -> None:
+def _resolve_replacements(builder: RegistryBuilder, spans: dict[str, Span]) -> None:
     """Resolve the replacements of terms out of use; an id out of use leads there from now on."""
     for id, span in spans.items():
-        term = draft.terms[id]
-        instead = draft.aliases.get(term.deprecated, term.deprecated)
-        if instead not in draft.terms:
-            hint = draft.similar_name(instead, draft.terms)
-            draft.report(messages.UNKNOWN_TERM, span, hint=hint, id=term.deprecated)
-        elif draft.terms[instead].deprecated:
-            draft.report(messages.DEPRECATED_BY_DEPRECATED, span, id=term.deprecated)
-        draft.terms[id] = replace(term, deprecated=instead)
+        term = builder.terms[id]
+        instead = builder.aliases.get(term.deprecated, term.deprecated)
+        if instead not in builder.terms:
+            hint = builder.similar_name(instead, builder.terms)
+            builder.report(messages.UNKNOWN_TERM, span, hint=hint, id=term.deprecated)
+        elif builder.terms[instead].deprecated:
+            builder.report(messages.DEPRECATED_BY_DEPRECATED, span, id=term.deprecated)
+        builder.terms[id] = replace(term, deprecated=instead)
     for id in spans:
-        draft.aliases[id] = draft.terms[id].deprecated
-    for alias, id in draft.aliases.items():
+        builder.aliases[id] = builder.terms[id].deprecated
+    for alias, id in builder.aliases.items():
         if id in spans:
-            draft.aliases[alias] = draft.terms[id].deprecated
+            builder.aliases[alias] = builder.terms[id].deprecated

@@ -62,14 +62,14 @@ def _signature(unit: syntax.Unit) -> Signature:
     return Signature(unit.name, portals, devices, constructors, unit.kind, unit.usage)
 
 
-def fits(given: str, expected: str) -> bool:
+def fits(actual: str, expected: str) -> bool:
     """Whether a value of one type is accepted for another: the same type, or an int for a real."""
-    return given == expected or (given == "int" and expected == "real") or "?" in (given, expected)
+    return actual == expected or (actual == "int" and expected == "real") or "?" in (actual, expected)
 
 
-def fits_all(given: Sequence[str], expected: Sequence[str]) -> bool:
+def fits_all(actual: Sequence[str], expected: Sequence[str]) -> bool:
     """Whether arguments of some types can be given for parameters of others."""
-    return len(given) == len(expected) and all(map(fits, given, expected))
+    return len(actual) == len(expected) and all(map(fits, actual, expected))
 
 
 def argument_type(argument: Argument, portal: Portal) -> str:

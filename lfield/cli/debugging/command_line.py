@@ -226,8 +226,8 @@ class DebuggerCommands:
 
 def _parsed(text: str) -> tuple[str, str, bool]:
     """The command, its argument, and whether it goes backward."""
-    name, _, rest = text.strip().partition(" ")
-    parts = f"{SHORT.get(name, name)} {rest}".split()
+    name, _, arguments = text.strip().partition(" ")
+    parts = f"{SHORT.get(name, name)} {arguments}".split()
     is_back = bool(parts) and parts[0] == "back"
     if is_back:
         parts = parts[1:]
@@ -244,7 +244,7 @@ def _required(text: str) -> str:
     return text
 
 
-def _index(text: str, largest: int, what: str, smallest: int) -> int:
+def _index(text: str, largest: int, kind: str, smallest: int) -> int:
     if not text.isdigit() or not smallest <= int(text) <= largest:
-        raise UsageError(f"there is no {what} '{text}'")
+        raise UsageError(f"there is no {kind} '{text}'")
     return int(text)

@@ -167,13 +167,16 @@ def _serve(args: argparse.Namespace) -> int:
     from lfield.cli.debugging.dap.dap_session import DapSession
     from lfield.cli.debugging.dap.dap_wire import DapStream
 
-    def opened(given: Mapping[str, Any]) -> OpenedDebugger:
-        named = given.get("paths") or given.get("program") or []
+    def opened(arguments: Mapping[str, Any]) -> OpenedDebugger:
+        named = arguments.get("paths") or arguments.get("program") or []
         paths = [Path(each) for each in ([named] if isinstance(named, str) else named)] or args.paths
         if not paths:
             raise UsageError("'launch' needs 'paths': recordings or a deployment")
         return open_debugger(
-            paths, args.bundle, float(given.get("seconds", args.seconds)), int(given.get("seed", args.seed))
+            paths,
+            args.bundle,
+            float(arguments.get("seconds", args.seconds)),
+            int(arguments.get("seed", args.seed)),
         )
 
     if args.port is None:

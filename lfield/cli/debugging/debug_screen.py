@@ -130,7 +130,7 @@ class DebugScreen:
         return FormattedTextControl(lambda: "\n".join(self._texts.get(name, [])))
 
     def _source_control(self) -> FormattedTextControl:
-        def shown() -> StyleAndTextTuples:
+        def styled_lines() -> StyleAndTextTuples:
             parts: StyleAndTextTuples = []
             for text in self._texts.get("source", []):
                 if text.startswith(">"):
@@ -139,7 +139,7 @@ class DebugScreen:
                 parts.append(("reverse" if text.startswith(">") else "", f"{text}\n"))
             return parts
 
-        return FormattedTextControl(shown)
+        return FormattedTextControl(styled_lines)
 
     def _timeline(self) -> str:
         return text_views.timeline_line(self._commands.debugger, self.application.output.get_size().columns)

@@ -105,8 +105,8 @@ def event_lines(debugger: Debugger) -> list[str]:
     for event in debugger.events(LAST_EVENTS):
         fields = {k: v for k, v in as_fields(event).items() if k not in ("at", "up", "cause", "number")}
         kind = fields.pop("kind")
-        shown = " ".join(f"{name}={value}" for name, value in fields.items())
-        lines.append(truncate(escape_line(f"{event.up:.3f} s  {kind}  {shown}"), SHOWN))
+        values_text = " ".join(f"{name}={value}" for name, value in fields.items())
+        lines.append(truncate(escape_line(f"{event.up:.3f} s  {kind}  {values_text}"), SHOWN))
     return lines
 
 

@@ -58,32 +58,32 @@ def _show_dump(file: Path, *, as_json: bool) -> int:
         record, program, block = dump_file.decode(read_bytes(file, dump_file.MAX_SIZE))
     except BlockError as error:
         raise BlockError(f"{file}: {error.reason}", word=error.word) from None
-    shown = view(block, program, record.members)
+    block_view = view(block, program, record.members)
     if as_json:
         from lfield.cli.views.inspection_json import dump_data
 
-        print(json.dumps(dump_data(record, shown, program.digest)))
+        print(json.dumps(dump_data(record, block_view, program.digest)))
         return 0
-    trail = " → ".join(record.hosts[n] if 0 <= n < len(record.hosts) else str(n) for n in shown.trail)
-    print(f"agent     {shown.id} ({shown.kind} {shown.type})")
-    print(f"on        {record.host}, after {shown.hops} hop(s): {trail}")
-    if shown.interval:
-        print(interval_line(shown.interval))
+    trail = " → ".join(record.hosts[n] if 0 <= n < len(record.hosts) else str(n) for n in block_view.trail)
+    print(f"agent     {block_view.id} ({block_view.kind} {block_view.type})")
+    print(f"on        {record.host}, after {block_view.hops} hop(s): {trail}")
+    if block_view.interval:
+        print(interval_line(block_view.interval))
     print(f"program   {program.digest.hex()[:16]}")
     if record.reason:
         print("why       " + escape(record.reason).replace("\n", "\n          "))
-    for thread in shown.threads:
+    for thread in block_view.threads:
         print("\n" + "\n".join(thread_lines(thread)))
-    _print_state(shown, record.limit)
+    _print_state(block_view, record.limit)
     return 0
 
 
-def _print_state(shown: BlockView, limit: int) -> None:
-    print(f"\nfields of {shown.id}")
-    for name, value in shown.fields:
+def _print_state(block_view: BlockView, limit: int) -> None:
+    print(f"\nfields of {block_view.id}")
+    for name, value in block_view.fields:
         print(f"       {name} = {value}")
-    print(f"\nheap: {shown.used} of {limit} bytes")
-    for name, count, size in shown.heap:
+    print(f"\nheap: {block_view.used} of {limit} bytes")
+    for name, count, size in block_view.heap:
         print(f"  {size:>9} bytes  {count:>6} × {name}")
 
 
@@ -161,9 +161,9 @@ def _show_mission(file: Path, *, as_json: bool) -> int:
     if mission.fenced:
         print(f"\nrecovery of {listed(sorted(mission.fenced))} by {mission.recovery}")
     if mission.access.file:
-        whom = [person.name for person in mission.access.people]
-        whom += [caller.name for caller in mission.access.callers]
-        print(f"\n{mission.access.file} restricts the rights of: {listed(dict.fromkeys(whom))}")
+        names = [person.name for person in mission.access.people]
+        names += [caller.name for caller in mission.access.callers]
+        print(f"\n{mission.access.file} restricts the rights of: {listed(dict.fromkeys(names))}")
     for name, driver in mission.drivers.by_driver.items():
         print(f"\ndriver {name} of {driver.to_install}")
     return 0
@@ -176,14 +176,14 @@ def _signed(found: BundleContents) -> str:
 
     if not found.signature:
         return "no"
-    here = local_folders(os.environ)
-    if not here:
+    folders = local_folders(os.environ)
+    if not folders:
         return "yes, signer unknown: no keys on this computer"
     # Importing cryptography is slow; unsigned bundles do not need it.
     from lfield.authority.bundle_signature import verify_bundle
 
     try:
-        who, at = verify_bundle(found.digest, found.signature, read_trusted(here[0]))
+        signer, at = verify_bundle(found.digest, found.signature, read_trusted(folders[0]))
     except KeysError as error:
         return f"not verified: {error}"
-    return f"by {who}, {format_time(at)}"
+    return f"by {signer}, {format_time(at)}"

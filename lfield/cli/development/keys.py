@@ -95,11 +95,11 @@ def _add_init(init: argparse.ArgumentParser) -> None:
     _add_days(init, _AUTHORITY_DAYS)
 
 
-def _add_days(parser: argparse.ArgumentParser, default: int, most: int = _MAX_DAYS) -> None:
+def _add_days(parser: argparse.ArgumentParser, default: int, maximum: int = _MAX_DAYS) -> None:
     parser.add_argument(
         "--days",
         metavar="N",
-        type=whole_between(1, most, "days"),
+        type=whole_between(1, maximum, "days"),
         help=f"validity in days (default: {default})",
     )
 
@@ -144,8 +144,9 @@ def _init(args: argparse.Namespace) -> int:
         _require_new_person(args.person)
     at = time.time()
     ledger = create_ledger(_authority(args.folder), at, _ends(args, at, _AUTHORITY_DAYS))
-    made = ledger.authority
-    print(f"{ledger.folder}: the authority {made.fingerprint[:12]}, until {format_time(made.valid_until)}")
+    authority = ledger.authority
+    until = format_time(authority.valid_until)
+    print(f"{ledger.folder}: the authority {authority.fingerprint[:12]}, until {until}")
     print(f"{KEY} can issue keys with every right: keep its directory private, and back it up")
     if args.person is not None:
         _make_own_keys(ledger.folder, args.person, at)
@@ -179,10 +180,12 @@ def _make_own_keys(authority: Path, name: str, at: float) -> None:
     from lfield.authority.peer_verification import format_time
 
     with open_ledger(authority) as ledger:
-        who, folder = ledger.make("person", name, (Right.OPERATE, Right.COMMAND), at, at + _DAYS * 86400.0)
+        identity, folder = ledger.make(
+            "person", name, (Right.OPERATE, Right.COMMAND), at, at + _DAYS * 86400.0
+        )
     write_keys(_own_folder(), read_keys(folder, "person"))
-    until = format_time(who.valid_until)
-    print(f"{_own_folder()}: your keys, {who}: until {until}, may {sorted_rights(who.may)}")
+    until = format_time(identity.valid_until)
+    print(f"{_own_folder()}: your keys, {identity}: until {until}, may {sorted_rights(identity.may)}")
 
 
 def _make(args: argparse.Namespace) -> int:
@@ -192,7 +195,7 @@ def _make(args: argparse.Namespace) -> int:
     at = time.time()
     with open_ledger(_authority(args.authority)) as ledger:
         for name in args.names:
-            _print_made(ledger.make(args.action, name, may, at, _ends(args, at)))
+            _print_keys(ledger.make(args.action, name, may, at, _ends(args, at)))
     return 0
 
 
@@ -210,22 +213,22 @@ def _rights(names: str) -> tuple[Right, ...]:
     return tuple(map(Right, named))
 
 
-def _print_made(made: LedgerKeys) -> None:
+def _print_keys(keys: LedgerKeys) -> None:
     """Print the keys that were made, and their destinations."""
     from lfield.authority.identity import sorted_rights
     from lfield.authority.keystore import OWN
     from lfield.authority.peer_verification import format_time
 
-    who, path = made
-    may = f", may {sorted_rights(who.may)}" if who.kind == "person" else ""
-    print(f"{who}: until {format_time(who.valid_until)}{may}")
-    there = who.name if who.kind == "host" else OWN
+    identity, path = keys
+    may = f", may {sorted_rights(identity.may)}" if identity.kind == "person" else ""
+    print(f"{identity}: until {format_time(identity.valid_until)}{may}")
+    folder = identity.name if identity.kind == "host" else OWN
     quoted = shlex.quote(str(path))
-    if who.kind == "host":
-        print(f"  on {there}, for a user:      ~/.config/lfield/keys/{there}   a copy of {quoted}")
-        print(f"  on {there}, for the service: /etc/lfield/keys/{there}, owned by the service's user")
+    if identity.kind == "host":
+        print(f"  on {folder}, for a user:      ~/.config/lfield/keys/{folder}   a copy of {quoted}")
+        print(f"  on {folder}, for the service: /etc/lfield/keys/{folder}, owned by the service's user")
     else:
-        print(f"  on the computer of {who}: ~/.config/lfield/keys/{there}, a copy of {quoted}")
+        print(f"  on the computer of {identity}: ~/.config/lfield/keys/{folder}, a copy of {quoted}")
 
 
 def _make_page(args: argparse.Namespace) -> int:
@@ -238,14 +241,14 @@ def _make_page(args: argparse.Namespace) -> int:
     return 0
 
 
-def _print_page(made: IssuedWebKeys) -> None:
+def _print_page(issued: IssuedWebKeys) -> None:
     """Print the keys, their use, and the steps in a browser."""
     from lfield.authority.peer_verification import format_time
 
-    quoted = shlex.quote(str(made.folder))
-    print(f"page {', '.join(made.keys.names)}: until {format_time(made.keys.valid_until)}")
-    print(f"  lfield watch --listen {made.keys.names[0]} --page-keys {quoted} --deploy MISSION")
-    root = shlex.quote(str(made.root))
+    quoted = shlex.quote(str(issued.folder))
+    print(f"page {', '.join(issued.keys.names)}: until {format_time(issued.keys.valid_until)}")
+    print(f"  lfield watch --listen {issued.keys.names[0]} --page-keys {quoted} --deploy MISSION")
+    root = shlex.quote(str(issued.root))
     print(f"  once for each browser: import {root} as an authority for web sites")
     print("  on a phone: install that file as a CA certificate (iOS: as a profile, and then trust it)")
 
@@ -267,7 +270,7 @@ def _renew(args: argparse.Namespace) -> int:
             print("  nothing has to be copied: issued keys stay valid, and hosts trust the new certificate")
             return 0
         for name in args.names:
-            _print_made(ledger.renew(args.what, name, at, _ends(args, at), new_key=args.new_key))
+            _print_keys(ledger.renew(args.what, name, at, _ends(args, at), new_key=args.new_key))
     return 0
 
 
@@ -281,8 +284,8 @@ def _revoke(args: argparse.Namespace) -> int:
             revoked = ledger.revoke_serial(name, at)
         else:
             revoked = ledger.revoke(args.what, name, at)
-        for who in revoked:
-            print(f"{who}: certificate {who.serial[:12]} is revoked")
+        for identity in revoked:
+            print(f"{identity}: certificate {identity.serial[:12]} is revoked")
         path = shlex.quote(str(ledger.folder / REVOKED))
         print(f"list {ledger.revoked.number} is {path}: copy it into your own keys, or those of a host,")
         print("and hosts forward it to each other; an unreachable host does not receive it")
@@ -298,22 +301,23 @@ def _list(args: argparse.Namespace) -> int:
 
     at = time.time()
     with open_ledger(_authority(args.authority)) as ledger:
-        made = ledger.authority
-        print(
-            f"{ledger.folder}: the authority {made.fingerprint[:12]}, until {format_time(made.valid_until)}"
-        )
+        authority = ledger.authority
+        until = format_time(authority.valid_until)
+        print(f"{ledger.folder}: the authority {authority.fingerprint[:12]}, until {until}")
         rows = ledger.rows(at)
         if ledger.revoked.number:
             print(f"revoked: {ledger.revoked}")
-    for who, state in rows:
-        print(f"  {state:<8}{who.serial[:12]:<14}until {format_time(who.valid_until)}  {_described(who)}")
+    for identity, state in rows:
+        until = format_time(identity.valid_until)
+        print(f"  {state:<8}{identity.serial[:12]:<14}until {until}  {_described(identity)}")
     return 0
 
 
-def _described(who: Identity) -> str:
+def _described(identity: Identity) -> str:
     from lfield.authority.identity import sorted_rights
 
-    return f"{who}, may {sorted_rights(who.may) or 'nothing'}" if who.kind == "person" else str(who)
+    rights = f", may {sorted_rights(identity.may) or 'nothing'}" if identity.kind == "person" else ""
+    return f"{identity}{rights}"
 
 
 def _show(args: argparse.Namespace) -> int:

@@ -31,8 +31,8 @@ def run(args: argparse.Namespace) -> int:
     if (coordinator := coordinator_name(name)) in reserved_names():
         raise UsageError(f"'{name}' cannot be the name of a mission: {coordinator} already is a type of L")
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        what = "is not empty" if folder.is_dir() else "is no directory"
-        raise UsageError(f"{folder} exists and {what}; nothing was written")
+        reason = "is not empty" if folder.is_dir() else "is no directory"
+        raise UsageError(f"{folder} exists and {reason}; nothing was written")
     for path in write_mission(name, folder):
         print(path)
     print(f"\nnext: cd {shlex.quote(str(folder))} && lfield up --deploy mission.dL --all --sim --until-done")

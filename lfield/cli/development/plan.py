@@ -88,8 +88,8 @@ def run(args: argparse.Namespace) -> int:
     from lfield.text.input_files import MAX_TEXT, read_bytes
 
     name, data = str(args.file), read_bytes(args.file, MAX_TEXT)
-    given = {} if args.action == "show" else {each: getattr(args, each) for each in _LIMITS}
-    limits = {each: value for each, value in given.items() if value is not None}
+    arguments = {} if args.action == "show" else {each: getattr(args, each) for each in _LIMITS}
+    limits = {each: value for each, value in arguments.items() if value is not None}
     is_area = is_area_file(name, data)
     if args.name and not is_area:
         raise UsageError("--name is for a KML or GeoJSON file")

@@ -89,12 +89,12 @@ async def _check_devices(
     used = {device.driver for device in devices}
     for finding in drivers(plugins, used):
         on_finding(finding)
-    here = installed_drivers(mission.drivers, used)
+    used_drivers = installed_drivers(mission.drivers, used)
     on_finding(
         await scheduling_lateness(mission.bindings.silence, SystemClock(), bound=mission.world == "hardware")
     )
     setup = setup_command(args.deploy, args.host or "", args.devices)
-    await endpoints(here, devices, SystemClock(), on_finding, setup)
+    await endpoints(used_drivers, devices, SystemClock(), on_finding, setup)
 
 
 def _print_finding(finding: DiagnosticFinding) -> None:

@@ -231,14 +231,14 @@ def _show(found: Sequence[FoundDevice]) -> None:
 
     from lfield.cli.views.trees import plain_console
 
-    shown = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
     for column in ("DEVICE", "SETTING", "IS", "MUST BE", "WHY"):
-        shown.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold")
     for each in found:
         for setting in each.mismatched:
             values = (f"{setting.present:.9g}", f"{setting.wanted:.9g}")
-            shown.add_row(each.name, setting.name, *values, setting.why)
-    plain_console().print(shown)
+            table.add_row(each.name, setting.name, *values, setting.why)
+    plain_console().print(table)
 
 
 def _confirmed() -> bool:

@@ -27,7 +27,7 @@ class PushReport:
     def __init__(self, digest: bytes, *, as_json: bool) -> None:
         self._digest, self._as_json = digest, as_json
         self._data: dict[str, object] = {"bundle": digest.hex()}
-        self._bars: Progress | None = None
+        self._progress: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
         self._deferred: set[str] = set()
 
@@ -42,23 +42,23 @@ class PushReport:
                 BarColumn(),
                 TextColumn("{task.completed}/{task.total}"),
             )
-            self._bars = Progress(*columns, transient=True)
-            self._bars.start()
+            self._progress = Progress(*columns, transient=True)
+            self._progress.start()
 
     def on_progress(self, host: str, progress: UploadProgress) -> None:
         """Show that more pieces are stored on a host, or that it stores other bundles first."""
         if progress.is_deferred and host not in self._deferred:
             self._deferred.add(host)
             self._print(f"{host}: waits: {progress.refusal}", error=True)
-        if self._bars is not None:
+        if self._progress is not None:
             if host not in self._tasks:
-                self._tasks[host] = self._bars.add_task(host, total=progress.total)
-            self._bars.update(self._tasks[host], completed=progress.stored)
+                self._tasks[host] = self._progress.add_task(host, total=progress.total)
+            self._progress.update(self._tasks[host], completed=progress.stored)
 
     def on_sent(self, sent: Mapping[str, UploadProgress], size: int) -> None:
         """Called when all transfers have ended."""
-        if self._bars is not None:
-            self._bars.stop()
+        if self._progress is not None:
+            self._progress.stop()
         self._data["sent"] = {
             host: {"bytes": each.sent, "links": each.attempts, "refusal": each.refusal, "code": each.code}
             for host, each in sent.items()
@@ -89,8 +89,8 @@ class PushReport:
         bundle = short_digest(self._digest)
         match result.outcome:
             case "activated":
-                left = [host for host in hosts if host not in result.informed]
-                late = f"; {listed(left)} will learn it from the others" if left else ""
+                uninformed = [host for host in hosts if host not in result.informed]
+                late = f"; {listed(uninformed)} will learn it from the others" if uninformed else ""
                 self.finish("activated", {}, f"bundle {bundle} active on {listed(hosts)}{late}")
                 return exit_status.DONE
             case "aborted":

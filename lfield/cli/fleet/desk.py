@@ -41,9 +41,11 @@ def add_desk(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
-def add_without(parser: argparse.ArgumentParser, what: str) -> None:
+def add_without(parser: argparse.ArgumentParser, effect: str) -> None:
     """Declare the hosts that a command leaves out."""
-    parser.add_argument("--without", metavar="HOST", action="append", default=[], help=f"{what} (repeatable)")
+    parser.add_argument(
+        "--without", metavar="HOST", action="append", default=[], help=f"{effect} (repeatable)"
+    )
 
 
 def open_inventory(args: argparse.Namespace) -> Inventory:
@@ -99,5 +101,5 @@ def failure_status(errors: Mapping[str, LfieldError]) -> int:
 def report_unreached(errors: Mapping[str, LfieldError], consequence: str) -> None:
     """A line on stderr for each host that did not answer, or has refused the request."""
     for host, error in errors.items():
-        what = "REFUSED" if is_refusal(error) else "NOT REACHED"
-        print(escape_line(f"{host}: {what}{consequence}: {error}"), file=sys.stderr)
+        outcome = "REFUSED" if is_refusal(error) else "NOT REACHED"
+        print(escape_line(f"{host}: {outcome}{consequence}: {error}"), file=sys.stderr)

@@ -64,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _show(inventory: Inventory, hosts: Sequence[InventoryHost], *, as_json: bool) -> int:
     if as_json:
-        shown = {host.name: _host_data(host) for host in hosts}
-        print(json.dumps({"inventory": str(inventory.path), "hosts": shown}))
+        rows = {host.name: _host_data(host) for host in hosts}
+        print(json.dumps({"inventory": str(inventory.path), "hosts": rows}))
         return exit_status.DONE
     from lfield.cli.views.team_state_view import add_row, new_table
     from lfield.cli.views.trees import plain_console

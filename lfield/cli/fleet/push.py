@@ -76,39 +76,39 @@ def run(args: argparse.Namespace) -> int:
     team = mission.team.hosts
     _check_hosts(args.without, team)
     desk.addresses(team)
-    what = Upload.of(data)
-    report = PushReport(what.digest, as_json=args.json)
-    report.start(f"{mission.name}: bundle {short_digest(what.digest)}, {byte_count_text(what.size)}")
+    source = Upload.of(data)
+    report = PushReport(source.digest, as_json=args.json)
+    report.start(f"{mission.name}: bundle {short_digest(source.digest)}, {byte_count_text(source.size)}")
     hosts = [host for host in team if host not in args.without]
     with explained_interrupt(VOTE_GOES_ON):
-        return asyncio.run(_push(desk, what, hosts, args, report))
+        return asyncio.run(_push(desk, source, hosts, args, report))
 
 
 async def _push(
-    desk: FleetDesk, what: Upload, hosts: list[str], args: argparse.Namespace, report: PushReport
+    desk: FleetDesk, source: Upload, hosts: list[str], args: argparse.Namespace, report: PushReport
 ) -> int:
     """Send the bundle, then have the hosts vote, over one link to each."""
     links = desk.links(hosts)
     try:
         # A host that is off is named, and not waited for.
         statuses, silent = split_answers(await service_states(links))
-        sent, failed = split_answers(await _upload_all(links, what, list(statuses), args.patience, report))
+        sent, failed = split_answers(await _upload_all(links, source, list(statuses), args.patience, report))
         failed |= silent
-        report.on_sent(sent, what.size)
+        report.on_sent(sent, source.size)
         refused = [host for host, progress in sent.items() if progress.refusal]
         if failed or refused:
             report_unreached(failed, "")
             out = [*failed, *refused]
             hint = "".join(f" --without {host}" for host in out)
             # Without all hosts there is no mission.
-            rest = f", or activate without them:{hint}" if len(out) < len(hosts) else ""
-            why = f"this push has activated nothing; repeat it{rest}"
-            report.finish("staged", failed, why)
+            alternative = f", or activate without them:{hint}" if len(out) < len(hosts) else ""
+            consequence = f"this push has activated nothing; repeat it{alternative}"
+            report.finish("staged", failed, consequence)
             return failure_status(failed) if failed else exit_status.FAILED
         if args.stage:
             report.finish("staged", {}, f"stored on {listed(hosts)}, not active")
             return exit_status.DONE
-        return await vote(desk, links, what.digest, statuses, report)
+        return await vote(desk, links, source.digest, statuses, report)
     finally:
         links.close()
 
@@ -149,7 +149,7 @@ async def vote(
         return exit_status.DONE
     # A vote holds the missions of all hosts: not for one that a host would refuse.
     now, silent = split_answers(await service_states(links, hosts, is_known=True))
-    reasons = {host: one.refusal for host, one in now.items() if one.refusal and one.active != digest}
+    reasons = {host: state.refusal for host, state in now.items() if state.refusal and state.active != digest}
     if silent or reasons:
         report_unreached(silent, "")
         return report.on_refusals(reasons, silent)
@@ -157,20 +157,20 @@ async def vote(
 
 
 async def _upload_all(
-    links: ServiceLinks, what: Upload, hosts: list[str], patience: float, report: PushReport
+    links: ServiceLinks, source: Upload, hosts: list[str], patience: float, report: PushReport
 ) -> dict[str, UploadProgress | LfieldError]:
     from lfield.operator.fleet.bundle_upload import upload
 
-    async def one(host: str) -> UploadProgress | LfieldError:
+    async def upload_to(host: str) -> UploadProgress | LfieldError:
         def on_progress(progress: UploadProgress) -> None:
             report.on_progress(host, progress)
 
         try:
-            return await upload(links, host, what, patience=patience, on_progress=on_progress)
+            return await upload(links, host, source, patience=patience, on_progress=on_progress)
         except LfieldError as error:
             return error
 
-    return dict(zip(hosts, await asyncio.gather(*map(one, hosts)), strict=True))
+    return dict(zip(hosts, await asyncio.gather(*map(upload_to, hosts)), strict=True))
 
 
 def _bundle_bytes(args: argparse.Namespace, desk: FleetDesk) -> bytes:

@@ -68,12 +68,12 @@ async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace)
         digest = b"" if failed else _common_previous(statuses, now, args.without)
         info = bundle_info(statuses, digest) if digest else None
         # A host that only the previous mission has takes part in the vote.
-        then = [host for host in (info.hosts if info else now) if host not in args.without]
-        failed |= {host: error for host, error in silent.items() if host in then}
+        earlier_hosts = [host for host in (info.hosts if info else now) if host not in args.without]
+        failed |= {host: error for host, error in silent.items() if host in earlier_hosts}
         if failed:
             report_unreached(failed, "; nothing was changed")
             return failure_status(failed)
-        voting = {host: statuses[host] for host in dict.fromkeys([*now, *then]) if host in statuses}
+        voting = {host: statuses[host] for host in dict.fromkeys([*now, *earlier_hosts]) if host in statuses}
         report = PushReport(digest, as_json=args.json)
         report.start(f"bundle {short_digest(digest)}")
         return await vote(desk, links, digest, voting, report)
@@ -123,9 +123,9 @@ def _way_back(
     name = f"{info.name}, " if info is not None else ""
     options = "".join(f" --without {host}" for host in (*without, *others))
     command = f"'lfield rollback{options}'"
-    if info is not None and (left := [host for host in others if host in info.hosts]):
+    if info is not None and (remaining := [host for host in others if host in info.hosts]):
         # Without these hosts the mission would not be complete.
-        command = f"'lfield push' activates it there and on {listed(left)}"
+        command = f"'lfield push' activates it there and on {listed(remaining)}"
     return f"{listed(own)}: {name}bundle {short_digest(digest)}: {command}"
 
 

@@ -104,8 +104,12 @@ def _check(args: argparse.Namespace) -> int:
         print(escape_line(f"an activation has no result yet: the votes of {missing} are unknown"))
     probe = LocalProbe(args.host, state, lambda: 0, list, SystemClock())
     unfinished = asyncio.run(probe.unfinished())
-    for one in unfinished:
-        print(escape_line(f"coordinator {one.agent} of {one.mission} has not ended: {one.state}"))
+    for coordinator in unfinished:
+        print(
+            escape_line(
+                f"coordinator {coordinator.agent} of {coordinator.mission} has not ended: {coordinator.state}"
+            )
+        )
     return exit_status.FAILED if unfinished or bound is not None else exit_status.DONE
 
 

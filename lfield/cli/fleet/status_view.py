@@ -69,24 +69,24 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
     for mission, idle in missions:
         if is_idle(mission, idle):
             yield escape_line(f"no coordinator of {mission.name} runs:")
-        yield from (escape_line(f"{one.host}: {one.reason}") for one in idle)
-        if left := left_behind(mission, statuses):
+        yield from (escape_line(f"{coordinator.host}: {coordinator.reason}") for coordinator in idle)
+        if hosts := left_behind(mission, statuses):
             yield escape_line(
-                f"{listed(left)}: waits for the hosts on which the mission has ended, until they have been "
+                f"{listed(hosts)}: waits for the hosts on which the mission has ended, until they have been "
                 "silent for 300 s; 'lfield stop' ends it"
             )
-    reported = {(one.host, one.agent) for _, idle in missions for one in idle}
+    reported = {(coordinator.host, coordinator.agent) for _, idle in missions for coordinator in idle}
     for host, status in statuses.items():
         run = status.run
         if run.reason:
             yield escape_line(f"{host}: {run.phase}: {run.reason}")
         if status.ballot is not None and status.ballot.outcome == "open":
             yield escape_line(f"{host}: {open_ballot_text(status.ballot)}")
-        for one in status.unfinished:
-            if (host, one.agent) in reported:
+        for coordinator in status.unfinished:
+            if (host, coordinator.agent) in reported:
                 continue
-            where = f" ({one.where})" if one.where and one.where != host else ""
-            yield escape_line(f"{host}: coordinator {one.agent} {one.state}{where}")
+            where = f" ({coordinator.where})" if coordinator.where and coordinator.where != host else ""
+            yield escape_line(f"{host}: coordinator {coordinator.agent} {coordinator.state}{where}")
         if status.refusal and not status.unfinished:
             yield escape_line(f"{host}: no activation now: {status.refusal}")
         offset = status.time - time.time()
@@ -96,7 +96,9 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
 
 def _idle(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -> list[IdleCoordinator]:
     """The coordinators that do not run. One of an unreached host may run there."""
-    return [one for one in idle_coordinators(mission, statuses) if one.host in statuses]
+    return [
+        coordinator for coordinator in idle_coordinators(mission, statuses) if coordinator.host in statuses
+    ]
 
 
 def bundle_info(status: ServiceStatus, digest: bytes) -> BundleInfo | None:
@@ -144,8 +146,13 @@ def status_data(status: ServiceStatus) -> dict[str, object]:
             "outcome": ballot.outcome,
         },
         "unfinished": [
-            {"agent": one.agent, "state": one.state, "where": one.where, "mission": one.mission}
-            for one in status.unfinished
+            {
+                "agent": coordinator.agent,
+                "state": coordinator.state,
+                "where": coordinator.where,
+                "mission": coordinator.mission,
+            }
+            for coordinator in status.unfinished
         ],
         "refusal": status.refusal,
         "time": status.time,

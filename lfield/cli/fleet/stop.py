@@ -52,18 +52,18 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(found.as_data()))
     else:
         _show(found.stopped, found.checked)
-        kept = "nothing was discarded"
-        report_unreached(found.errors, ", not stopped" + (f", {kept}" if args.discard else ""))
+        notice = "nothing was discarded"
+        report_unreached(found.errors, ", not stopped" + (f", {notice}" if args.discard else ""))
         if found.troubles and args.discard:
-            print(f"{kept}: repeat it when the vehicles have been checked", file=sys.stderr)
+            print(f"{notice}: repeat it when the vehicles have been checked", file=sys.stderr)
     return exit_status.UNSAFE if found.troubles else failure_status(found.errors)
 
 
 def _show(stopped: Mapping[str, CommandResult], checked: Mapping[str, str]) -> None:
     for host, result in stopped.items():
-        gone = f"; discarded: {listed(result.discarded)}" if result.discarded else ""
-        print(escape_line(f"{host}: {result.run.phase}{gone}"))
-        if why := checked.get(host):
-            print(escape_line(f"{host}: its host had ended before ({why}); its vehicles count as checked"))
+        discarded = f"; discarded: {listed(result.discarded)}" if result.discarded else ""
+        print(escape_line(f"{host}: {result.run.phase}{discarded}"))
+        if reason := checked.get(host):
+            print(escape_line(f"{host}: its host had ended before ({reason}); its vehicles count as checked"))
         if result.trouble:
             print(escape_line(f"{host}: {result.trouble}"), file=sys.stderr)

@@ -140,18 +140,18 @@ def ask_and_print(
     answers: dict[HostRef, EmergencyStopResult | LfieldError] = {}
     confirmed = everybody = True
     try:
-        for some in ask_in_turn(teams, request, keys):
-            confirmed &= _all_confirmed(some, names, state)
-            _print_not_persisted(some, names)
-            needed = some
+        for team_answers in ask_in_turn(teams, request, keys):
+            confirmed &= _all_confirmed(team_answers, names, state)
+            _print_not_persisted(team_answers, names)
+            needed = team_answers
             if not needs_all:
-                _print_without_mission(some, names)
-                needed = {place: answer for place, answer in some.items() if is_reached(answer)}
+                _print_without_mission(team_answers, names)
+                needed = {place: answer for place, answer in team_answers.items() if is_reached(answer)}
             everybody &= _all_reached(needed, names)
-            answers |= some
+            answers |= team_answers
     except KeyboardInterrupt:
-        left = ", ".join(name for place, name in names.items() if place not in answers)
-        _print(truncate(f"interrupted: no answer yet from {left}; run the command again", _MAX_LINE))
+        missing = ", ".join(name for place, name in names.items() if place not in answers)
+        _print(truncate(f"interrupted: no answer yet from {missing}; run the command again", _MAX_LINE))
         raise
     return StopReport(answers, confirmed, everybody)
 
@@ -218,17 +218,17 @@ def _report_data(
 
 def _all_confirmed(answers: Stopped, names: Mapping[HostRef, str], state: str) -> bool:
     """Print a line for each device, failures to stderr; returns whether all have confirmed."""
-    well = True
+    is_confirmed = True
     for place, answer in answers.items():
         if isinstance(answer, Exception):
             continue
         if not answer.devices:
             print(f"{names[place]}: has no devices that move")
         for device, problem in answer.devices.items():
-            well = well and not problem
-            said = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else state}"
-            print(escape_line(said), file=sys.stderr if problem else sys.stdout, flush=True)
-    return well
+            is_confirmed = is_confirmed and not problem
+            text = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else state}"
+            print(escape_line(text), file=sys.stderr if problem else sys.stdout, flush=True)
+    return is_confirmed
 
 
 def _print_not_persisted(answers: Stopped, names: Mapping[HostRef, str]) -> None:
@@ -264,13 +264,13 @@ def watch_safe_states(
     except KeyboardInterrupt:
         _print("stopped watching; the order is unchanged: 'lfield ps' shows the devices")
         interrupted = True
-    wrong = descent.verdicts()
-    for device, sentence in wrong:
+    unsafe = descent.verdicts()
+    for device, sentence in unsafe:
         _print(f"{names[device.host_ref]}: {device.name}: {sentence}")
-    in_motion = {(device.host_ref, device.name): sentence for device, sentence in wrong}
+    in_motion = {(device.host_ref, device.name): sentence for device, sentence in unsafe}
     if interrupted:
         return exit_status.INTERRUPTED, in_motion
-    return exit_status.UNSAFE if wrong else exit_status.DONE, in_motion
+    return exit_status.UNSAFE if unsafe else exit_status.DONE, in_motion
 
 
 def _rest_time(run: Run) -> float:

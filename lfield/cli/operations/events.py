@@ -140,12 +140,12 @@ def run(args: argparse.Namespace) -> int:
 _END_EVENTS = {"left": "hopped", "began": "ended", "asked": "answered"}
 
 
-def _print_skipped(host: str, what: EventsDropped, kinds: frozenset[str]) -> None:
+def _print_skipped(host: str, event: EventsDropped, kinds: frozenset[str]) -> None:
     """Print gaps of the requested events, which are events of another kind."""
     from lfield.operator.team_model.log_buffer import lost_events_text
 
-    if kinds & {what.skipped, _END_EVENTS.get(what.skipped, "")}:
-        print_notice(host, lost_events_text(f"events of kind '{what.skipped}'", what.count))
+    if kinds & {event.skipped, _END_EVENTS.get(event.skipped, "")}:
+        print_notice(host, lost_events_text(f"events of kind '{event.skipped}'", event.count))
 
 
 def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:

@@ -66,10 +66,10 @@ def run(args: argparse.Namespace) -> int:
     for party in parties:
         if (named_mission(args) is None and runs) or len(parties) > 1:
             print(f"\n{party.id}" if party.runs else "\nhosts of the inventory")
-        shown = by_host(hosts, party)
+        states = by_host(hosts, party)
         if party.user:
-            shown = {name: host for name, host in shown.items() if host.linked}
-        team_status_view.show(shown)
+            states = {name: host for name, host in states.items() if host.linked}
+        team_status_view.show(states)
     print_unanswered(silent)
     return exit_status.UNAVAILABLE if silent else exit_status.DONE
 

@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
     registry = queries.context.registry
     question = queries.parse(args.query)
     at = queries.host(args.at)
-    party = None if args.files else selected_team(args)
-    snapshots = by_host(ask_teams([party], PATIENT_SNAPSHOT, args.keys), party) if party else {}
+    target = None if args.files else selected_team(args)
+    snapshots = by_host(ask_teams([target], PATIENT_SNAPSHOT, args.keys), target) if target else {}
     known = queries.known_team(snapshots, at)
     answers = queries.answers(question, known, args.team)
     print_unanswered(known.unanswered)

@@ -110,9 +110,9 @@ def _print_start(host: str, answer: StartResponse | LfieldError) -> bool:
 
 
 def _waiting(start: StartStatus) -> str:
-    who = f"{listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
+    subject = f"{listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
     if start.held:
-        return f"{who}: {start.held}"
+        return f"{subject}: {start.held}"
     if not start.hosts:
-        return f"{who} yet: waiting for the landed state of vehicles on other hosts"
-    return f"{who}: waiting for {listed(start.hosts)}; 'lfield ps' prints the reason"
+        return f"{subject} yet: waiting for the landed state of vehicles on other hosts"
+    return f"{subject}: waiting for {listed(start.hosts)}; 'lfield ps' prints the reason"

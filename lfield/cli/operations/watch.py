@@ -120,9 +120,9 @@ def _run(args: argparse.Namespace) -> int:
             return _run_replay(args, background, page_keys)
         path = named_mission(args) or running_mission(selected_runs(args))
         team = open_team(path)
-        party = selected_team(args)
+        target = selected_team(args)
         try:
-            asyncio.run(_serve_page(args, path, team, party, background, page_keys))
+            asyncio.run(_serve_page(args, path, team, target, background, page_keys))
         except (KeyboardInterrupt, asyncio.CancelledError):
             print("stopped watching; the mission is unchanged")
             return exit_status.INTERRUPTED
@@ -171,9 +171,9 @@ def _check_replay_options(args: argparse.Namespace) -> None:
             raise UsageError("--bundle is for recordings: name them with --replay PATH")
         return
     options = {"--run": args.run, "--map": args.map, "--inventory": args.inventory, "--keys": args.keys}
-    given = ["MISSION"] if named_mission(args) else []
-    if given := [*given, *(name for name, value in options.items() if value)]:
-        raise UsageError(f"--replay shows recordings, not a running team: leave out {listed(given)}")
+    arguments = ["MISSION"] if named_mission(args) else []
+    if arguments := [*arguments, *(name for name, value in options.items() if value)]:
+        raise UsageError(f"--replay shows recordings, not a running team: leave out {listed(arguments)}")
 
 
 def _print_line(line: str) -> None:
@@ -233,7 +233,7 @@ async def _serve_page(
     args: argparse.Namespace,
     path: Path,
     team: Team,
-    party: TargetTeam,
+    target: TargetTeam,
     background: PageBackground,
     page_keys: WebKeys | None,
 ) -> None:
@@ -246,11 +246,11 @@ async def _serve_page(
 
     site = await _site(args, page_keys)
     _cancel_on_ctrl_c()
-    if not party.runs:
-        where = listed([f"{host} at {address}" for host, address in party.addresses.items()])
+    if not target.runs:
+        where = listed([f"{host} at {address}" for host, address in target.addresses.items()])
         _print_line(f"{path} is not running on this computer: the page waits for {where}")
-    async with watch_team(path, team, party, found, args.keys) as shown:
+    async with watch_team(path, team, target, found, args.keys) as watched:
         title = f"{path.absolute().parent.name}/{path.stem}"
-        drawn = background._replace(drawings=[*shown.drawings, *background.drawings])
-        served = ServedPage(title, shown, shown.actions, SystemClock(), drawn)
+        drawn = background._replace(drawings=[*watched.drawings, *background.drawings])
+        served = ServedPage(title, watched, watched.actions, SystemClock(), drawn)
         await serve(served, site, lambda link: _print_line(f"open this link: {link}"))

@@ -69,7 +69,7 @@ def _write_mcap(items: list[StreamItem], info: MissionInfo, path: Path) -> None:
     require_mcap()
     file = RecordingFile(path, END_WITHOUT_SUMMARY)
     try:
-        made = export_mcap(items, info, out=file)
+        summary = export_mcap(items, info, out=file)
         file.finish()
     except OutputFileError:
         # As of a full disk: a part of an export is of no use.
@@ -78,7 +78,7 @@ def _write_mcap(items: list[StreamItem], info: MissionInfo, path: Path) -> None:
         raise
     finally:
         file.close()
-    print(f"{path}: {made.messages} messages in {made.channels} channels, {made.size} bytes")
+    print(f"{path}: {summary.messages} messages in {summary.channels} channels, {summary.size} bytes")
 
 
 def _create_folder(folder: Path) -> None:
@@ -95,19 +95,19 @@ def _create_folder(folder: Path) -> None:
 def _write_csv(items: list[StreamItem], info: MissionInfo, folder: Path) -> None:
     from lfield.export.tables.csv_tables import export_csv
 
-    made: list[Path] = []
+    written: list[Path] = []
     try:
         with ExitStack() as opened:
 
             def open_table(name: str) -> TextIO:
                 table = opened.enter_context((folder / name).open("x", encoding="utf-8", newline=""))
-                made.append(folder / name)
+                written.append(folder / name)
                 return table
 
             names = export_csv(items, info, open_table=open_table)
     except OSError as error:
         # As of a full disk: a part of an export is of no use.
-        for path in made:
+        for path in written:
             path.unlink(missing_ok=True)
         raise OutputFileError(str(folder), error.strerror or str(error)) from None
     print(f"{folder}: {', '.join(names)}")

@@ -161,9 +161,9 @@ def difference_lines(first: FirstDifference) -> list[str]:
     from lfield.replay.team_check import plain
 
     at = utc_time(first.at, 6)
-    who = f", {first.agent} at {first.place}" if first.place else ""
+    agent = f", {first.agent} at {first.place}" if first.place else ""
     return [
-        f"first difference: {first.host} at {at} UTC, turn {first.turn}{who}: {first.what}",
+        f"first difference: {first.host} at {at} UTC, turn {first.turn}{agent}: {first.what}",
         f"  recorded: {json.dumps(plain(first.recorded))}",
         f"  replayed: {json.dumps(plain(first.replayed))}",
     ]

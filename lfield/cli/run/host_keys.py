@@ -27,8 +27,8 @@ def load_credentials(host: str, args: argparse.Namespace) -> HostCredentials | N
     from lfield.text.user_dirs import state_dir
 
     if args.keys_fd is not None:
-        given = _inherited(args.keys_fd)
-        return HostCredentials(given.keys, accepted_bundle=given.bundle)
+        inherited = _inherited(args.keys_fd)
+        return HostCredentials(inherited.keys, accepted_bundle=inherited.bundle)
     found = keystore.find_keys("host", host, args.keys, os.environ)
     if found is None:
         return None
@@ -112,11 +112,11 @@ def ephemeral_keys(hosts: Iterable[str], bundle: BundleId) -> Mapping[str, int]:
     from lfield.net.tls import pipe_with
 
     now = time.time()
-    made = EphemeralCa.for_hosts(hosts, now)
+    authority = EphemeralCa.for_hosts(hosts, now)
     bundle = BundleId(bundle.digest, by="the user who started it", at=now)
     return {
         host: pipe_with(msgspec.msgpack.encode(_InheritedKeys(keys, bundle)))
-        for host, keys in made.hosts.items()
+        for host, keys in authority.hosts.items()
     }
 
 

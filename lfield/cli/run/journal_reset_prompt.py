@@ -44,17 +44,19 @@ def reset_journal(
 
     journal = FileJournal(file, owner, report, SystemClock())
     try:
-        pages = journal.records()
-        answers = asyncio.run(ask_all(observer_transport(keys), others, SNAPSHOT)) if departed(pages) else {}
-        found = plan_reset(owner.host, pages, host_states(answers))
+        records = journal.records()
+        answers = (
+            asyncio.run(ask_all(observer_transport(keys), others, SNAPSHOT)) if departed(records) else {}
+        )
+        found = plan_reset(owner.host, records, host_states(answers))
         if found.departed:
             raise CoordinatorAlive(_live_elsewhere(found.departed))
         if found.discarded and not _confirmed(owner.host, found, yes=yes):
             return False
         # First: a copy is given up there before it is discarded here.
-        for page, where in found.parked.items():
-            request = ask_all(observer_transport(keys), {where: others[where]}, forget(page.agent))
-            _require_answer(page.agent, asyncio.run(request))
+        for record, where in found.parked.items():
+            request = ask_all(observer_transport(keys), {where: others[where]}, forget(record.agent))
+            _require_answer(record.agent, asyncio.run(request))
         event_loop.run(journal.persist(found.pages))
         return True
     finally:
@@ -70,23 +72,22 @@ def _require_answer(agent: str, answers: HostAnswers[ForgetResponse]) -> None:
             )
 
 
-def _live_elsewhere(away: Sequence[CoordinatorRecord]) -> str:
-    page = away[0]
+def _live_elsewhere(departed_copies: Sequence[CoordinatorRecord]) -> str:
+    record = departed_copies[0]
     return (
-        f"--fresh is refused: {page.agent}, start {page.generation}, left for {page.target} (transfer "
-        f"{page.sequence}) and may continue there; start {page.target} and try again, or end {page.agent} "
-        "where it is"
+        f"--fresh is refused: {record.agent}, start {record.generation}, left for {record.target} (transfer "
+        f"{record.sequence}) and may continue there; start {record.target} and try again, or end "
+        f"{record.agent} where it is"
     )
 
 
 def _confirmed(host: str, found: ResetPlan, *, yes: bool) -> bool:
     """Print the copies to discard and ask for confirmation. Raises UsageError without a terminal."""
     print(f"--fresh discards these coordinators of {host}, which could continue:")
-    for page in found.discarded:
-        where = f", parked at {found.parked[page]}" if page in found.parked else ""
-        print(
-            f"  {page.agent}, start {page.generation}, after {page.hops} hop{'s' * (page.hops != 1)}{where}"
-        )
+    for record in found.discarded:
+        where = f", parked at {found.parked[record]}" if record in found.parked else ""
+        hops = f"{record.hops} hop{'s' * (record.hops != 1)}"
+        print(f"  {record.agent}, start {record.generation}, after {hops}{where}")
     if yes:
         return True
     if not sys.stdin.isatty():

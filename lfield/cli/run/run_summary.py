@@ -44,10 +44,10 @@ def _failure(statuses: Mapping[str, int], status: int, results: Mapping[str, Run
     if not reasons:
         meaning = exit_status.MEANINGS.get(status, "a host was killed").partition(";")[0]
         return ", ".join(failed), meaning.removeprefix("the mission failed: ")
-    (first, reason), *rest = reasons.items()
-    parts = [reason, *(f"{host}: {text}" for host, text in rest[: MAX_REASONS - 1])]
-    if len(rest) >= MAX_REASONS:
-        parts.append(f"failures on {len(rest) - MAX_REASONS + 1} more hosts")
+    (first, reason), *further = reasons.items()
+    parts = [reason, *(f"{host}: {text}" for host, text in further[: MAX_REASONS - 1])]
+    if len(further) >= MAX_REASONS:
+        parts.append(f"failures on {len(further) - MAX_REASONS + 1} more hosts")
     return first, "; ".join(parts)
 
 
@@ -55,8 +55,8 @@ def total_hops(results: Mapping[str, RunResult]) -> int:
     """The hops of coordinators: for each start the largest number of any host, as a killed host reports
     none.
     """
-    most: dict[str, int] = defaultdict(int)
+    hops_by_start: dict[str, int] = defaultdict(int)
     for result in results.values():
         for start, hops in result.hops.items():
-            most[start] = max(most[start], hops)
-    return sum(most.values())
+            hops_by_start[start] = max(hops_by_start[start], hops)
+    return sum(hops_by_start.values())

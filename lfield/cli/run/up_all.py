@@ -363,11 +363,11 @@ class _HostProcesses:
         waiting.add_done_callback(lambda _: self.ending.set())
         await self.ending.wait()
         self.release()
-        left = [host for host, child in self.children.items() if child.returncode is None]
-        devices = [device for host in left for device in self.mission.devices_of(host)]
+        running = [host for host, child in self.children.items() if child.returncode is None]
+        devices = [device for host in running for device in self.mission.devices_of(host)]
         seconds = longest_rest(devices) + KILL_GRACE
         await asyncio.sleep(seconds)
-        for host in left:
+        for host in running:
             if self.children[host].returncode is None:
                 self.note(host, log_messages.HOST_STUCK.line(host=host, seconds=seconds))
                 self.children[host].kill()

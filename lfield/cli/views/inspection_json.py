@@ -24,26 +24,28 @@ if TYPE_CHECKING:
 _LONGEST_HEX = 32
 
 
-def dump_data(record: Dump, shown: BlockView, digest: bytes) -> dict[str, Any]:
+def dump_data(record: Dump, block_view: BlockView, digest: bytes) -> dict[str, Any]:
     """A dumped agent; `digest` is that of its program."""
     hosts = record.hosts
     return {
         "kind": "dump",
-        "agent": shown.id,
-        "agent_kind": shown.kind,
-        "type": shown.type,
+        "agent": block_view.id,
+        "agent_kind": block_view.kind,
+        "type": block_view.type,
         "host": record.host,
-        "hops": shown.hops,
-        "trail": [hosts[n] if 0 <= n < len(hosts) else str(n) for n in shown.trail],
-        "heartbeat_interval": shown.interval or None,
+        "hops": block_view.hops,
+        "trail": [hosts[n] if 0 <= n < len(hosts) else str(n) for n in block_view.trail],
+        "heartbeat_interval": block_view.interval or None,
         "program": digest.hex(),
         "reason": record.reason,
-        "threads": thread_data(shown.threads),
-        "fields": dict(shown.fields),
+        "threads": thread_data(block_view.threads),
+        "fields": dict(block_view.fields),
         "heap": {
-            "used": shown.used,
+            "used": block_view.used,
             "limit": record.limit,
-            "objects": [{"type": name, "count": count, "bytes": size} for name, count, size in shown.heap],
+            "objects": [
+                {"type": name, "count": count, "bytes": size} for name, count, size in block_view.heap
+            ],
         },
     }
 

@@ -47,81 +47,83 @@ def journal_lines(view: ReadOnlyView) -> Iterator[str]:
     else:
         yield f"journal   of {view.header.host} in {view.header.deployment}"
         yield f"identity  {view.header.identity:016x}"
-    programs = {page.digest: page for _, page in view.records if isinstance(page, ProgramRecord)}
-    for _, page in view.records:
-        match page:
+    programs = {record.digest: record for _, record in view.records if isinstance(record, ProgramRecord)}
+    for _, record in view.records:
+        match record:
             case StartCounter():
-                yield f"starts    {page.count}"
+                yield f"starts    {record.count}"
             case RunMarker():
-                yield f"run       {'not ended' if page.open else 'ended'}"
-            case BundleRecord() if page.digest:
-                yield f"bundle    {short_digest(page.digest)}, signed"
-            case PauseFlag() if page.on:
+                yield f"run       {'not ended' if record.open else 'ended'}"
+            case BundleRecord() if record.digest:
+                yield f"bundle    {short_digest(record.digest)}, signed"
+            case PauseFlag() if record.on:
                 yield "paused    until 'lfield resume'"
-            case EmergencyStopFlag() if page.reason:
-                yield f"stopped   until 'lfield estop --lift': {page.reason}"
+            case EmergencyStopFlag() if record.reason:
+                yield f"stopped   until 'lfield estop --lift': {record.reason}"
             case FenceRecord():
-                yield f"fence     {page.agent}: no start before {page.generation}"
+                yield f"fence     {record.agent}: no start before {record.generation}"
             case ReservationRecord():
-                holder = f"{page.agent}, start {page.generation}" if page.agent else "free"
-                yield f"reserved  {page.resource}, number {page.number}: {holder}"
+                holder = f"{record.agent}, start {record.generation}" if record.agent else "free"
+                yield f"reserved  {record.resource}, number {record.number}: {holder}"
             case ProgramRecord():
-                yield f"program   {page.digest.hex()[:16]}, {len(page.code)} bytes"
-    for entry, page in sorted(view.records, key=lambda found: found[0].key):
-        if isinstance(page, CoordinatorRecord):
-            yield from _coordinator_lines(page, entry.written_at, programs)
-        elif isinstance(page, PendingCallRecord):
-            yield from _pending_call_lines(page, entry.written_at)
+                yield f"program   {record.digest.hex()[:16]}, {len(record.code)} bytes"
+    for entry, record in sorted(view.records, key=lambda found: found[0].key):
+        if isinstance(record, CoordinatorRecord):
+            yield from _coordinator_lines(record, entry.written_at, programs)
+        elif isinstance(record, PendingCallRecord):
+            yield from _pending_call_lines(record, entry.written_at)
     for title, damaged in (("damaged", view.damaged), ("moved aside", view.moved_aside)):
-        for one in damaged:
-            yield f"\n{title}: {describe_loss(one.entry)}: {one.why}"
+        for lost in damaged:
+            yield f"\n{title}: {describe_loss(lost.entry)}: {lost.why}"
 
 
 def _coordinator_lines(
-    page: CoordinatorRecord, kept: float, programs: Mapping[bytes, ProgramRecord]
+    record: CoordinatorRecord, written_at: float, programs: Mapping[bytes, ProgramRecord]
 ) -> Iterator[str]:
-    yield f"\n{page.agent}, start {page.generation}: {page.state}: {_STATES[page.state]}"
-    yield f"  as of     {format_time(kept)}"
-    yield f"  transfer  {page.sequence}, after {page.hops} hop{'s' * (page.hops != 1)}"
-    if page.target:
-        yield f"  sent to   {page.target}, memory {page.receiver_memory:016x}"
-    if page.kind:
-        yield f"  refused   {page.kind}: {page.reason}"
-    if page.doubt:
-        yield f"  in doubt  {page.doubt}"
-    if page.outcome:
-        yield f"  ended     {page.outcome} on {page.ended_on}" + (f": {page.detail}" if page.detail else "")
-    if page.block:
-        yield f"  block     {len(page.block)} bytes of program {page.program.hex()[:16]}"
-        yield from (f"  {line}" for line in _stack(page, programs))
+    yield f"\n{record.agent}, start {record.generation}: {record.state}: {_STATES[record.state]}"
+    yield f"  as of     {format_time(written_at)}"
+    yield f"  transfer  {record.sequence}, after {record.hops} hop{'s' * (record.hops != 1)}"
+    if record.target:
+        yield f"  sent to   {record.target}, memory {record.receiver_memory:016x}"
+    if record.kind:
+        yield f"  refused   {record.kind}: {record.reason}"
+    if record.doubt:
+        yield f"  in doubt  {record.doubt}"
+    if record.outcome:
+        yield f"  ended     {record.outcome} on {record.ended_on}" + (
+            f": {record.detail}" if record.detail else ""
+        )
+    if record.block:
+        yield f"  block     {len(record.block)} bytes of program {record.program.hex()[:16]}"
+        yield from (f"  {line}" for line in _stack(record, programs))
 
 
-def _pending_call_lines(page: PendingCallRecord, kept: float) -> Iterator[str]:
-    start = f"{page.agent}, start {page.generation}"
-    yield f"\n{start}: call {page.number} started: {page.resource}.{page.portal}"
-    yield f"  as of     {format_time(kept)}"
-    size = f", {len(page.result)} bytes" if page.result else ""
-    yield f"  outcome   {_OUTCOMES[page.outcome]}{size}"
+def _pending_call_lines(record: PendingCallRecord, written_at: float) -> Iterator[str]:
+    start = f"{record.agent}, start {record.generation}"
+    yield f"\n{start}: call {record.number} started: {record.resource}.{record.portal}"
+    yield f"  as of     {format_time(written_at)}"
+    size = f", {len(record.result)} bytes" if record.result else ""
+    yield f"  outcome   {_OUTCOMES[record.outcome]}{size}"
 
 
-def _stack(page: CoordinatorRecord, programs: Mapping[bytes, ProgramRecord]) -> Iterator[str]:
+def _stack(record: CoordinatorRecord, programs: Mapping[bytes, ProgramRecord]) -> Iterator[str]:
     from lfield.errors import BlockError, ProgramFileError
     from lfield.vm.inspection import dump_file
     from lfield.vm.inspection.block_view import view
 
-    explains = programs.get(page.program)
+    explains = programs.get(record.program)
     if explains is None:
         yield "stack not shown: the program is not in this journal"
         return
     try:
-        program, block = dump_file.decode_program_and_block(explains.code, explains.types, page.block)
+        program, block = dump_file.decode_program_and_block(explains.code, explains.types, record.block)
     except (BlockError, ProgramFileError) as error:
         yield str(error)
         return
-    shown = view(block, program, explains.members)
-    if shown.interval:
-        yield interval_line(shown.interval)
-    for thread in shown.threads:
+    block_view = view(block, program, explains.members)
+    if block_view.interval:
+        yield interval_line(block_view.interval)
+    for thread in block_view.threads:
         yield from thread_lines(thread)
 
 
@@ -152,5 +154,5 @@ def _frame_lines(frame: FrameView) -> Iterator[str]:
         yield f"       {name} = {value}"
     for call in frame.calls:
         yield f"       together: {call}"
-    for kept in frame.reserved:
-        yield f"       reserved: {kept}"
+    for reservation in frame.reserved:
+        yield f"       reserved: {reservation}"

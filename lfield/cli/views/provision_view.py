@@ -77,19 +77,19 @@ class ProvisionView:
                     yield escape_line(f"{'':<{self._width}} |   -> {finding['hint']}")
 
     def _table(self) -> Table:
-        shown = new_table("HOST", "STEP", "STATE", "", unbroken=("HOST", "STEP", "STATE"))
+        table = new_table("HOST", "STEP", "STATE", "", unbroken=("HOST", "STEP", "STATE"))
         for host in self._hosts:
             report = self._last.get(host)
             if report is None:
-                add_row(shown, host, "", "waiting", "")
+                add_row(table, host, "", "waiting", "")
             else:
-                add_row(shown, host, report.step, _LABELS[report.state], report.text)
-        return shown
+                add_row(table, host, report.step, _LABELS[report.state], report.text)
+        return table
 
 
 def print_summary(hosts: Sequence[str], provisioned: Sequence[str], seconds: float, *, is_dry: bool) -> None:
     """Print the last line: the number of finished hosts, and the others."""
     missing = [host for host in hosts if host not in provisioned]
-    what = "could be planned" if is_dry else "done"
+    outcome = "could be planned" if is_dry else "done"
     tail = f"; not done: {', '.join(missing)}" if missing else ""
-    print(escape_line(f"{len(provisioned)} of {len(hosts)} hosts {what} after {seconds:.0f} s{tail}"))
+    print(escape_line(f"{len(provisioned)} of {len(hosts)} hosts {outcome} after {seconds:.0f} s{tail}"))

@@ -71,15 +71,15 @@ class _Attributes:
         self._registry = registry
         self._named = attributes_of(question.constraint)
 
-    def describe(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
+    def describe(self, facts: Mapping[str, Fact], limit: int = SHOWN) -> str:
         """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and the number of others."""
         first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
-        alike = groupby(first[:most], key=lambda name: facts[name].source)
+        alike = groupby(first[:limit], key=lambda name: facts[name].source)
         parts = [
             f"{source}: {', '.join(self._describe_fact(n, facts[n]) for n in names)}"
             for source, names in alike
         ]
-        parts += [f"and {len(first) - most} more"] if len(first) > most else []
+        parts += [f"and {len(first) - limit} more"] if len(first) > limit else []
         return "; ".join(parts)
 
     def _is_rated(self, name: str) -> bool:
@@ -109,13 +109,13 @@ def _show_teams(answer: PrimitiveAnswer) -> None:
 def _table(offers: Sequence[Offer], attributes: _Attributes) -> Table:
     from rich.table import Table
 
-    shown = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
     for column in ("RANK", "WHO", "HOST", "HOW", "SCORE", "ATTRIBUTES"):
-        shown.add_column(column, justify="right" if column in ("RANK", "SCORE") else "left")
+        table.add_column(column, justify="right" if column in ("RANK", "SCORE") else "left")
     for rank, offer in enumerate(offers, 1):
         description = attributes.describe(offer.facts)
-        shown.add_row(str(rank), offer.agent, offer.host, how(offer), f"{offer.score:.3f}", description)
-    return shown
+        table.add_row(str(rank), offer.agent, offer.host, how(offer), f"{offer.score:.3f}", description)
+    return table
 
 
 def how(offer: Offer) -> str:

@@ -17,15 +17,15 @@ _CELL, _CELL_OF_OTHERS = 4000, 200
 
 def show(runs: Sequence[Run]) -> None:
     """Print the table: the name and owner of each run, and the hosts of its mission that it runs here."""
-    shown = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
     for column in ("RUN", "HOSTS", "USER", "UP SINCE", "MISSION"):
-        shown.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold")
     for run in runs:
         note = run.manifest
         cells = (run.id, " ".join(note.control_sockets), run.owner, _time(note.started), note.mission)
-        most = _CELL_OF_OTHERS if run.is_foreign else _CELL
-        shown.add_row(*(truncate(escape_line(cell), most) for cell in cells))
-    plain_console().print(shown)
+        limit = _CELL_OF_OTHERS if run.is_foreign else _CELL
+        table.add_row(*(truncate(escape_line(cell), limit) for cell in cells))
+    plain_console().print(table)
 
 
 def _time(seconds: float) -> str:

@@ -35,8 +35,8 @@ def watch_progress(
 ) -> None:
     """Poll and print until the devices are at rest. Ctrl-C raises KeyboardInterrupt."""
     live = Live(console=plain_console(), auto_refresh=False) if sys.stdout.isatty() else None
-    shown: AbstractContextManager[object] = live or nullcontext()
-    with shown:
+    display: AbstractContextManager[object] = live or nullcontext()
+    with display:
         asyncio.run(_poll(progress, transport, addresses, names, live, SystemClock()))
 
 
@@ -49,9 +49,9 @@ async def _poll(
     clock: Clock,
 ) -> None:
     while not progress.is_over:
-        asked = {place: addresses[place] for place in addresses if place in progress.host_refs}
+        queried = {place: addresses[place] for place in addresses if place in progress.host_refs}
         progress.set_time(clock.monotonic())
-        for place, host in host_states(await ask_all(transport, asked, SNAPSHOT)).items():
+        for place, host in host_states(await ask_all(transport, queried, SNAPSHOT)).items():
             progress.on_host(place, host)
         if live:
             live.update(_table(progress, names), refresh=True)

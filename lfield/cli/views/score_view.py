@@ -20,17 +20,21 @@ def score_lines(offers: Sequence[Offer]) -> Iterator[str]:
         yield from _cost_lines(offer, "  ", "")
 
 
-def _cost_lines(offer: Offer, indent: str, who: str) -> Iterator[str]:
-    summands = [_short(part.cost) for part in offer.parts.values()]
-    summands += [f"{term.name} {_short(term.weight)} * {_short(term.amount)}" for term in offer.terms]
-    yield f"{indent}{who}cost {_short(offer.cost)} = {' + '.join(summands)}"
+def _cost_lines(offer: Offer, indent: str, owner: str) -> Iterator[str]:
+    summands = [_rounded_text(part.cost) for part in offer.parts.values()]
+    summands += [
+        f"{term.name} {_rounded_text(term.weight)} * {_rounded_text(term.amount)}" for term in offer.terms
+    ]
+    yield f"{indent}{owner}cost {_rounded_text(offer.cost)} = {' + '.join(summands)}"
     if offer.penalties:
-        shares = [f"{p.attribute} {_short(p.share)} * {_short(p.penalty)}" for p in offer.penalties]
+        shares = [
+            f"{p.attribute} {_rounded_text(p.share)} * {_rounded_text(p.penalty)}" for p in offer.penalties
+        ]
         fitness = sum(p.share * p.penalty for p in offer.penalties)
-        yield f"{indent}  fitness {_short(fitness)} = {' + '.join(shares)}"
+        yield f"{indent}  fitness {_rounded_text(fitness)} = {' + '.join(shares)}"
     for part in offer.parts.values():
         yield from _cost_lines(part, f"{indent}  ", f"{part.agent}, {part.primitive}: ")
 
 
-def _short(number: float) -> str:
+def _rounded_text(number: float) -> str:
     return f"{number:.4g}"

@@ -24,16 +24,16 @@ def table(state: TeamState, *, starting: bool = False) -> Group:
 
 def _agents(state: TeamState, starting: bool) -> Table:
     right = "HOPS", "SERVED"
-    shown = new_table("HOST", "AGENT", "TYPE", "STATE", "AT", *right, right=right)
+    rows = new_table("HOST", "AGENT", "TYPE", "STATE", "AT", *right, right=right)
     for name, host in state.hosts.items():
-        here = [agent for agent in state.agents.values() if agent.host == name and _is_known(agent)]
-        if not host.linked or not here:
-            add_row(shown, name, "-", "", _host_state(host, starting))
-        for agent in here:
+        agents = [agent for agent in state.agents.values() if agent.host == name and _is_known(agent)]
+        if not host.linked or not agents:
+            add_row(rows, name, "-", "", _host_state(host, starting))
+        for agent in agents:
             moves = agent.kind == "coordinator"
             counts = ("" if agent.hops is None else str(agent.hops), "") if moves else ("", str(agent.served))
-            add_row(shown, name, agent.agent, agent.type, _agent_state(agent), _place(agent), *counts)
-    return shown
+            add_row(rows, name, agent.agent, agent.type, _agent_state(agent), _place(agent), *counts)
+    return rows
 
 
 def _is_known(agent: AgentState) -> bool:
@@ -64,10 +64,10 @@ def _place(agent: AgentState) -> str:
 
 def device_table(devices: Iterable[DeviceState]) -> Table:
     """A row for each device; telemetry takes the lines it needs, the state has one."""
-    shown = new_table("HOST", "DEVICE", "STATE", "TELEMETRY", unbroken=("STATE",))
+    rows = new_table("HOST", "DEVICE", "STATE", "TELEMETRY", unbroken=("STATE",))
     for device in devices:
-        add_row(shown, device.host, device.name, _device_state(device), telemetry_text(device.telemetry))
-    return shown
+        add_row(rows, device.host, device.name, _device_state(device), telemetry_text(device.telemetry))
+    return rows
 
 
 def _device_state(device: DeviceState) -> str:
@@ -82,13 +82,13 @@ def _device_state(device: DeviceState) -> str:
 
 def new_table(*columns: str, right: Sequence[str] = (), unbroken: Sequence[str] = ()) -> Table:
     """A table without lines; columns are aligned to the `right`, or their cells are not wrapped."""
-    shown = Table(box=None, pad_edge=False)
+    rows = Table(box=None, pad_edge=False)
     for column in columns:
         justify: JustifyMethod = "right" if column in right else "left"
-        shown.add_column(column, justify=justify, no_wrap=column in unbroken)
-    return shown
+        rows.add_column(column, justify=justify, no_wrap=column in unbroken)
+    return rows
 
 
-def add_row(shown: Table, *cells: str) -> None:
+def add_row(rows: Table, *cells: str) -> None:
     """Add a row; control characters in the text of hosts and programs are escaped."""
-    shown.add_row(*map(escape_line, cells))
+    rows.add_row(*map(escape_line, cells))

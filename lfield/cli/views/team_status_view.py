@@ -75,13 +75,13 @@ def _starts(linked: Mapping[str, HostState]) -> list[str]:
     for host, state in linked.items():
         if (start := state.report.start) is None:
             continue
-        who = f"{host}: {listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
+        subject = f"{host}: {listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
         if start.held:
-            lines.append(f"{who}: {start.held}; 'lfield start' starts them")
+            lines.append(f"{subject}: {start.held}; 'lfield start' starts them")
         elif start.hosts:
             options = " ".join(f"--without {missing}" for missing in start.hosts[:MAX_NAMED])
             lines.append(
-                f"{who}: waiting for {listed(start.hosts)}; start them, or start the mission without "
+                f"{subject}: waiting for {listed(start.hosts)}; start them, or start the mission without "
                 f"them: 'lfield start {options}'"
             )
     return lines
@@ -106,14 +106,14 @@ def _not_persisted(linked: Mapping[str, HostState]) -> list[str]:
 
 def _hosts(linked: Mapping[str, HostState]) -> Table:
     right = "HEARTBEAT DELAY", "GUARD TIMEOUT", "LEASE"
-    shown = new_table("HOST", *right, "JOURNAL", right=right)
+    table = new_table("HOST", *right, "JOURNAL", right=right)
     for name, host in linked.items():
         report = host.report
         late = f"{host.late:.3f} s" if host.late is not None else ""
         silence = f"{report.silence:g} s" if report.silence is not None else ""
         lease = "" if report.lease is None else f"{report.lease:.1f} s" if report.lease else "none"
-        add_row(shown, name, late, silence, lease, _journal(report.journal))
-    return shown
+        add_row(table, name, late, silence, lease, _journal(report.journal))
+    return table
 
 
 class _LinkRow(NamedTuple):
@@ -148,7 +148,7 @@ def _links(linked: Mapping[str, HostState]) -> tuple[Table, list[str]]:
     a summary of all.
     """
     right = "ROUND TRIP", "LOSS", "SENT", "RECEIVED"
-    shown = new_table("HOST", "LINK WITH", *right, "BY KIND", right=right)
+    table = new_table("HOST", "LINK WITH", *right, "BY KIND", right=right)
     rows: list[_LinkRow] = []
     for name, host in linked.items():
         rows += [_LinkRow(name, peer, None, link) for peer, link in host.links.items()]
@@ -158,11 +158,11 @@ def _links(linked: Mapping[str, HostState]) -> tuple[Table, list[str]]:
         worst = sorted(rows, key=lambda row: row.badness, reverse=True)[:WORST_LINKS]
         summary = [_link_summary(rows)]
     for row in worst:
-        add_row(shown, *row.texts())
+        add_row(table, *row.texts())
     for name, host in linked.items():
         if host.report.observers and worst is rows:
-            add_row(shown, name, "observers", "", "", "", "", _kinds(host.report.observers))
-    return shown, summary
+            add_row(table, name, "observers", "", "", "", "", _kinds(host.report.observers))
+    return table, summary
 
 
 def _link_summary(rows: Sequence[_LinkRow]) -> str:
@@ -201,40 +201,40 @@ _PENDING_CALL = {
 
 def _agents(hosts: Mapping[str, HostState]) -> Table:
     right = "HOPS", "SERVED", "HEAP"
-    shown = new_table("HOST", "AGENT", "TYPE", "STATE", *right, right=right)
+    table = new_table("HOST", "AGENT", "TYPE", "STATE", *right, right=right)
     newest = _newest_starts(hosts)
     for host, known_host in hosts.items():
         if not known_host.linked:
-            add_row(shown, host, "-", "", "no answer", "", "", "")
+            add_row(table, host, "-", "", "no answer", "", "", "")
             continue
-        before, report = shown.row_count, known_host.report
+        before, report = table.row_count, known_host.report
         for agent in report.agents:
             hops = str(agent.hops) if agent.kind == "coordinator" else ""
             served = str(agent.served) if agent.kind == "resource" else ""
-            add_row(shown, host, agent.id, agent.type, agent.state, hops, served, _size(agent.heap))
+            add_row(table, host, agent.id, agent.type, agent.state, hops, served, _size(agent.heap))
         for known in report.coordinators:
             is_past = known.generation < newest[known.agent]
             over = known.state == "EXITED" and known.where == host and not is_past
             if known.state == "IN DOUBT" or known.unreadable or over:
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
-                add_row(shown, host, known.agent, "", state, str(known.hops), "", "")
+                add_row(table, host, known.agent, "", state, str(known.hops), "", "")
         for waiting in report.start.agents if report.start is not None else ():
-            add_row(shown, host, waiting, "", _waiting(report.start), "", "", "")
+            add_row(table, host, waiting, "", _waiting(report.start), "", "", "")
         for name in report.startable:
             if name not in newest:
-                add_row(shown, host, name, "", "startable", "", "", "")
+                add_row(table, host, name, "", "startable", "", "", "")
         for call in report.pending_calls:
             state = _PENDING_CALL[call.state].format(f"{call.resource}.{call.portal}")
-            add_row(shown, host, call.agent, "", state, "", "", "")
+            add_row(table, host, call.agent, "", state, "", "", "")
         for reserved in report.reserved:
             state = f"{reserved.resource} reserved for {reserved.held:.0f} s, {reserved.left:.0f} s left"
-            add_row(shown, host, reserved.agent, "", state, "", "", "")
+            add_row(table, host, reserved.agent, "", state, "", "", "")
         for parked in report.journal.parked if report.journal is not None else ():
             if parked.state != "MOVED":
-                add_row(shown, host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
-        if shown.row_count == before:
-            add_row(shown, host, "-", "", "up, no agents", "", "", "")
-    return shown
+                add_row(table, host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
+        if table.row_count == before:
+            add_row(table, host, "-", "", "up, no agents", "", "", "")
+    return table
 
 
 def _waiting(start: StartStatus | None) -> str:
@@ -254,10 +254,10 @@ def _newest_starts(hosts: Mapping[str, HostState]) -> Mapping[str, int]:
 
 
 def _parked(parked: ParkedStatus) -> str:
-    left = f", and may have migrated to {parked.where}" if parked.state == "PREPARED" else ""
+    migration = f", and may have migrated to {parked.where}" if parked.state == "PREPARED" else ""
     return (
-        f"parked: belongs to another mission ({parked.program.hex()[:16]}){left}; continues when that is "
-        "started here"
+        f"parked: belongs to another mission ({parked.program.hex()[:16]}){migration}; continues when that "
+        "is started here"
     )
 
 

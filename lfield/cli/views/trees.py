@@ -60,9 +60,9 @@ def _drawn(branch: TreeBranch) -> Tree:
 def _label(branch: TreeBranch) -> Text:
     from rich.text import Text
 
-    name, colon, rest = branch.text.partition(": ")
+    name, colon, description = branch.text.partition(": ")
     label = Text(name, style="bold" if branch.mark else "")
-    label.append(colon + rest, style="dim")
+    label.append(colon + description, style="dim")
     if branch.mark:
         label.append(f" [{branch.mark}]", style="cyan")
     return label

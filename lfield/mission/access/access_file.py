@@ -117,7 +117,7 @@ class _Reader:
             self._report_error("Y113", "'*' is not a name", entry.key_span, f"write {OTHERS}")
         return entry.key == "*"
 
-    def _list_nodes(self, entry: YamlEntry, what: str) -> tuple[YamlNode, ...] | None:
+    def _list_nodes(self, entry: YamlEntry, expected: str) -> tuple[YamlNode, ...] | None:
         """The nodes of a list, None for ALL; () and a finding for any other node."""
         node = entry.value
         if isinstance(node, YamlList):
@@ -126,7 +126,10 @@ class _Reader:
             return None
         hint = f"write [{_text(node)}]" if _text(node) else "[] means none of them"
         self._report_error(
-            "Y112", f"'{entry.key}' must be {ALL} or a list of {what}, not {describe(node)}", node.span, hint
+            "Y112",
+            f"'{entry.key}' must be {ALL} or a list of {expected}, not {describe(node)}",
+            node.span,
+            hint,
         )
         return ()
 
@@ -244,7 +247,7 @@ class _Reader:
             self._report_error("Y113", message, entry.key_span, hint)
             return None
         serving = {
-            type: {portal: way.target for portal, way in providers[type].serves[name].portals.items()}
+            type: {portal: mapped.target for portal, mapped in providers[type].serves[name].portals.items()}
             for type in self._portals
             if type in providers and name in providers[type].serves
         }

@@ -130,29 +130,29 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
 
     # --- persons --------------------------------------------------------------------------------------
 
-    def restrict(self, who: Identity) -> Identity:
+    def restrict(self, identity: Identity) -> Identity:
         """The same person with the rights that the mission leaves. Other kinds of identity are unchanged.
 
         A person whose certificate has `stop` may stop every mission.
         """
-        person = self._person(who.name) if who.kind == "person" else None
+        person = self._person(identity.name) if identity.kind == "person" else None
         if person is None:
-            return who
-        return replace(who, may=who.may & (with_implied(person.may) | _NEVER_REMOVED))
+            return identity
+        return replace(identity, may=identity.may & (with_implied(person.may) | _NEVER_REMOVED))
 
-    def why_not(self, who: Identity, right: Right) -> str:
+    def why_not(self, identity: Identity, right: Right) -> str:
         """The rule that removes a person's right, as a sentence; '' when none does."""
-        if right not in who.may or right in self.restrict(who).may:
+        if right not in identity.may or right in self.restrict(identity).may:
             return ""
-        person = self._person(who.name)
+        person = self._person(identity.name)
         assert person is not None
         granted = sorted_rights(person.may).replace(",", ", ") or "nothing"
         rule = f"{self.file}:{person.line} limits {person.name} to: {granted}"
-        return f"{who} may not {right} in this mission: {rule}"
+        return f"{identity} may not {right} in this mission: {rule}"
 
-    def denied_rights(self, who: Identity) -> dict[Right, str]:
+    def denied_rights(self, identity: Identity) -> dict[Right, str]:
         """The rights that a person loses here, each with a sentence that names the rule."""
-        return {right: self.why_not(who, right) for right in who.may - self.restrict(who).may}
+        return {right: self.why_not(identity, right) for right in identity.may - self.restrict(identity).may}
 
     def _person(self, name: str) -> PersonRule | None:
         known = {person.name: person for person in self.people}
@@ -179,26 +179,26 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
         caller = (rules.get(person) if person else None) or rules.get(OTHERS)
         if caller is None:
             closed = f"{self.file} has no line in 'calls' for" if self.file else "no access file opens it to"
-            shown = person or "users of this computer"
-            return f"{shown} may not call {resource.id}.{portal}(): {closed} {shown}"
+            person_text = person or "users of this computer"
+            return f"{person_text} may not call {resource.id}.{portal}(): {closed} {person_text}"
         return self._line_refusal(person or "a user of this computer", caller, resource, portal)
 
     def assistant_refusal(self, person: str) -> str:
         """The reason why an assistant of a person may not act, as a sentence; '' when it may."""
         if OTHERS in self.assistants or (person and person in self.assistants):
             return ""
-        shown = person or "a user of this computer"
+        caller = person or "a user of this computer"
         closed = f"{self.file} does not list" if self.file else "no access file lists"
-        return f"an assistant may not act for {shown}: {closed} {shown} in 'assistants'"
+        return f"an assistant may not act for {caller}: {closed} {caller} in 'assistants'"
 
-    def _line_refusal(self, who: str, caller: CallerRule, resource: RuleSubject, portal: str) -> str:
+    def _line_refusal(self, name: str, caller: CallerRule, resource: RuleSubject, portal: str) -> str:
         """The reason why the line of a caller does not allow a call."""
         if caller.lines is None:
             return ""
         lines = caller.deciding(resource)
         if any(line.allows(resource, portal) for line in lines):
             return ""
-        refused = f"{who} may not call {resource.id}.{portal}()"
+        refused = f"{name} may not call {resource.id}.{portal}()"
         if not lines:
             subject = _subject_text(caller, "others" if caller in self.calls else "other coordinators")
             return f"{refused}: {self.file}:{caller.line} lists what {subject} may call, without this portal"
@@ -274,9 +274,11 @@ class DeniedPrimitives:
         if asker is None:
             return
         for primitive, served in self._providers[agent.type].serves.items():
-            ways = served.portals.values()
-            if why := next(filter(None, (self._access.refusal(asker, agent, w.target) for w in ways)), ""):
-                yield primitive, why
+            mappings = served.portals.values()
+            if reason := next(
+                filter(None, (self._access.refusal(asker, agent, w.target) for w in mappings)), ""
+            ):
+                yield primitive, reason
 
 
 _encoder, _decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(Access)

@@ -82,13 +82,13 @@ def accept_bundle(
     from lfield.authority.bundle_signature import verify_bundle
 
     try:
-        who, signed_at = verify_bundle(bundle.digest, bundle.signature, authority)
+        signer, signed_at = verify_bundle(bundle.digest, bundle.signature, authority)
     except SignatureError as error:
         raise _refused(bundle, str(error)) from None
-    verdict = verify_signer(who, signed_at, at=at, authority=fingerprint, revoked=revoked, runs=runs)
+    verdict = verify_signer(signer, signed_at, at=at, authority=fingerprint, revoked=revoked, runs=runs)
     if verdict.extent != "all":
         raise _refused(bundle, verdict.why)
-    return Acceptance(replace(bundle, by=str(who), at=signed_at), verdict.why)
+    return Acceptance(replace(bundle, by=str(signer), at=signed_at), verdict.why)
 
 
 def signing_time(bundle: BundleId, authority: bytes) -> float:
@@ -101,5 +101,5 @@ def signing_time(bundle: BundleId, authority: bytes) -> float:
         return 0.0
 
 
-def _refused(bundle: BundleId, why: str) -> SignatureError:
-    return SignatureError(f"bundle {bundle.short} does not run here: {why}")
+def _refused(bundle: BundleId, reason: str) -> SignatureError:
+    return SignatureError(f"bundle {bundle.short} does not run here: {reason}")

@@ -118,11 +118,11 @@ class _Embedding:
             call.arguments[index] = tree.Literal_(argument.span, argument.type, text)
 
     def _embed_area(self, array: tree.Elements, call: tree.LibraryCall) -> None:
-        is_survey, given = call.operation == STRIPS, call.arguments
-        what, count = ("surveyStrips", len(given) - 2) if is_survey else ("mapArea", len(given))
-        names = [self._known(argument, what) for argument in given[:count]]
-        numbers = [self._number(argument) for argument in given[count:]]
-        file, span = names[0], given[0].span
+        is_survey, arguments = call.operation == STRIPS, call.arguments
+        function, count = ("surveyStrips", len(arguments) - 2) if is_survey else ("mapArea", len(arguments))
+        names = [self._known(argument, function) for argument in arguments[:count]]
+        numbers = [self._number(argument) for argument in arguments[count:]]
+        file, span = names[0], arguments[0].span
         if file is None or None in names or None in numbers:
             return
         with self._reported(file, span):
@@ -134,7 +134,9 @@ class _Embedding:
             self.mistakes += [Diagnostic(each.code, f"{file}: {each.text}", span) for each in errors]
             values = [value for corner in shape.corners for value in corner]
             if is_survey and not errors:
-                values = self._strips(shape, [each for each in numbers if each is not None], given[-2].span)
+                values = self._strips(
+                    shape, [each for each in numbers if each is not None], arguments[-2].span
+                )
             array.elements[:] = [tree.Literal_(array.span, call.type, value) for value in values]
 
     def _strips(self, shape: Shape, numbers: Sequence[float], span: Span) -> list[float]:
@@ -145,11 +147,11 @@ class _Embedding:
             self.mistakes.append(Diagnostic("M303", f"no strips for {shape.label}: {error}", span))
             return []
 
-    def _known(self, argument: tree.Expr, what: str) -> str | None:
+    def _known(self, argument: tree.Expr, function: str) -> str | None:
         """The text of an argument; None (reported) if the compiler does not know it."""
         if isinstance(argument, tree.Literal_) and isinstance(argument.value, str):
             return argument.value
-        self._unknown(argument, f"{what} needs the name of a file")
+        self._unknown(argument, f"{function} needs the name of a file")
         return None
 
     def _number(self, argument: tree.Expr) -> float | None:
@@ -160,9 +162,9 @@ class _Embedding:
         self._unknown(argument, "surveyStrips needs spacing and heading")
         return None
 
-    def _unknown(self, argument: tree.Expr, what: str) -> None:
+    def _unknown(self, argument: tree.Expr, expected: str) -> None:
         hint = "the file becomes part of the program when it is compiled"
-        self.mistakes.append(Diagnostic("M301", f"{what} as a literal or constant", argument.span, hint))
+        self.mistakes.append(Diagnostic("M301", f"{expected} as a literal or constant", argument.span, hint))
 
     @contextmanager
     def _reported(self, name: str, span: Span) -> Iterator[None]:

@@ -31,13 +31,13 @@ def quorum_warnings(deployment: Deployment, mission: Mission) -> list[Diagnostic
     if len(members) == 1 and any(
         team.members_on(n) for n, host in enumerate(team.hosts) if host not in members
     ):
-        failed, why = members[0], "no other host can decide"
+        failed, reason = members[0], "no other host can decide"
     elif len(members) == 2:
-        failed, why = f"one of {listed(members)}", "the other one is not a majority"
+        failed, reason = f"one of {listed(members)}", "the other one is not a majority"
     else:
         return []
     first = _first_fenced(deployment, mission)
-    message = f"{first.id} cannot be recovered when {failed} is lost: {why}"
+    message = f"{first.id} cannot be recovered when {failed} is lost: {reason}"
     return [Diagnostic("Y114", message, first.span, _more_members(mission), "warning")]
 
 

@@ -51,10 +51,10 @@ class DeviceBindingsReader:
     def report_conflicts(self) -> None:
         """Report devices that conflict with others. Each simulated device has its own link."""
         for driver in self._drivers.by_driver.values() if not self._simulate else ():
-            mine = [binding for binding, _, _ in self._read if binding.driver == driver.name]
-            for binding, why in conflicts_of(driver, mine):
+            bindings = [binding for binding, _, _ in self._read if binding.driver == driver.name]
+            for binding, reason in conflicts_of(driver, bindings):
                 fields, span = next((f, span) for read, f, span in self._read if read is binding)
-                fields.report("Y113", f"{binding.name}: {why}", span)
+                fields.report("Y113", f"{binding.name}: {reason}", span)
 
     def _device(
         self,
@@ -109,8 +109,8 @@ class DeviceBindingsReader:
         text = fields.text("endpoint", required=not self._simulate)
         node = fields.node("endpoint")
         is_text = isinstance(node, YamlScalar) and node.value == text
-        if node is not None and is_text and not self._simulate and (why := why_no_endpoint(driver, text)):
-            fields.report("Y113", why, node.span)
+        if node is not None and is_text and not self._simulate and (reason := why_no_endpoint(driver, text)):
+            fields.report("Y113", reason, node.span)
         return text
 
     def _waivers(self, fields: YamlFields, manifest: Manifest) -> dict[str, str]:

@@ -75,7 +75,7 @@ class TeamFeed:
         self._observer = observer
         self._timeline = EventTimeline()
         self._notices: list[FeedNotice] = []
-        self._why: dict[str, str] = {}
+        self._unreached_reasons: dict[str, str] = {}
         self._incarnations: dict[str, int] = {}
         #: The hosts whose link was lost.
         self._cut: set[str] = set()
@@ -87,18 +87,18 @@ class TeamFeed:
         """See `StreamHandler.on_linked`."""
         if self._observer is not None:
             self._observer.on_linked(host)
-        if self._why.pop(host, None) is not None:
+        if self._unreached_reasons.pop(host, None) is not None:
             self._notices.append(FeedNotice(self._names[host], "reachable again"))
 
-    def on_unlinked(self, host: str, why: str) -> None:
+    def on_unlinked(self, host: str, reason: str) -> None:
         """See `StreamHandler.on_unlinked`: one notice for each reason."""
         if self._observer is not None:
-            self._observer.on_unlinked(host, why)
+            self._observer.on_unlinked(host, reason)
         if host in self._incarnations:
             self._cut.add(host)
-        if self._why.get(host) != why:
-            self._why[host] = why
-            self._notices.append(FeedNotice(self._names[host], f"unreachable: {why}"))
+        if self._unreached_reasons.get(host) != reason:
+            self._unreached_reasons[host] = reason
+            self._notices.append(FeedNotice(self._names[host], f"unreachable: {reason}"))
 
     def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
         """See `StreamHandler.on_batch`."""
@@ -125,7 +125,7 @@ class TeamFeed:
     @property
     def is_complete(self) -> bool:
         """Whether every reachable host has sent all events that it had at first contact."""
-        return all(self._is_caught_up(host) or host in self._why for host in self._names)
+        return all(self._is_caught_up(host) or host in self._unreached_reasons for host in self._names)
 
     def _is_caught_up(self, host: str) -> bool:
         return host in self._initial_latest and self._received[host] >= self._initial_latest[host]
@@ -135,7 +135,7 @@ class TeamFeed:
         """The hosts whose stored events were not received completely, each with the reason."""
         missed = [host for host in self._names if not self._is_caught_up(host)]
         return {
-            self._names[host]: self._why.get(host, "the host has not sent all stored events")
+            self._names[host]: self._unreached_reasons.get(host, "the host has not sent all stored events")
             for host in missed
         }
 
@@ -197,7 +197,7 @@ class EventFeed:
     @property
     def unreached(self) -> Mapping[str, str]:
         """The hosts whose stored events were not received completely, each with the reason."""
-        return {host: why for part in self._feeds for host, why in part.unreached.items()}
+        return {host: reason for part in self._feeds for host, reason in part.unreached.items()}
 
 
 async def log_backlog(
@@ -240,12 +240,12 @@ async def open_feed(
     """
     clock, parts, followers = SystemClock(), [], []
     query: SnapshotQuery | None = None
-    own = own_keys([address for party in teams for address in party.addresses.values()], keys)
+    own = own_keys([address for team in teams for address in team.addresses.values()], keys)
     transport, brings = observer_transport(own), presented_crl(own)
-    for party in teams:
-        called = {place.host: names[place] for place in party.host_refs if place in names}
+    for team in teams:
+        called = {place.host: names[place] for place in team.host_refs if place in names}
         part = TeamFeed(called, clock, telemetry=telemetry > 0.0, observer=observer)
-        reach = HostLocator(party, find)
+        reach = HostLocator(team, find)
         query = partial(_query_snapshots, transport, reach, brings)
         follower = EventFollower(
             transport,

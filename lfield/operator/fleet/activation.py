@@ -98,12 +98,12 @@ async def activate(
     tasks = [asyncio.ensure_future(ask(host, Proposal(ballot), VOTE_TIMEOUT)) for host in ballot.hosts]
     await _until_decided(result, tasks)
     if result.outcome == "open":
-        left = result.missing
+        uninformed = result.missing
         query = VoteQuery(ballot.id, closes=True)
-        await asyncio.gather(*(ask(host, query, ANSWER_TIMEOUT) for host in left))
+        await asyncio.gather(*(ask(host, query, ANSWER_TIMEOUT) for host in uninformed))
     report = VoteReport(ballot.id, result.votes)
-    left = [host for host in ballot.hosts if host not in result.informed]
-    await asyncio.gather(*(ask(host, report, REPORT_TIMEOUT) for host in left))
+    uninformed = [host for host in ballot.hosts if host not in result.informed]
+    await asyncio.gather(*(ask(host, report, REPORT_TIMEOUT) for host in uninformed))
     return result
 
 

@@ -71,10 +71,10 @@ def divided_hosts(statuses: Mapping[str, ServiceStatus]) -> list[str]:
     count, unless it runs that mission.
     """
     complete = {host for mission in active_missions(statuses) for host in mission.hosts}
-    left = {host: status for host, status in statuses.items() if host not in complete}
+    others = {host: status for host, status in statuses.items() if host not in complete}
     found: set[str] = set()
-    for status in left.values():
-        known = statuses if status.run.phase == "running" else left
+    for status in others.values():
+        known = statuses if status.run.phase == "running" else others
         hosts = {host for host in _mission(status.active, statuses).hosts if status.active and host in known}
         found |= hosts if len(hosts) > 1 else set()
     return [host for host in statuses if host in found]
@@ -86,16 +86,18 @@ def idle_coordinators(mission: ActiveMission, statuses: Mapping[str, ServiceStat
     None without a running host, or where the mission of a host has ended in order: others may have ended.
     """
     known = {host: statuses[host] for host in mission.hosts if host in statuses}
-    up = {host: one for host, one in known.items() if one.run.phase == "running"}
-    if not up or any(one.run.phase == "ended" and one.run.status == 0 for one in known.values()):
+    running = {host: status for host, status in known.items() if status.run.phase == "running"}
+    if not running or any(
+        status.run.phase == "ended" and status.run.status == 0 for status in known.values()
+    ):
         return []
     found = []
     for agent, home in mission.coordinators.items():
         states = [
-            (host, one.state)
-            for host, status in up.items()
-            for one in status.unfinished
-            if one.agent == agent
+            (host, coordinator.state)
+            for host, status in running.items()
+            for coordinator in status.unfinished
+            if coordinator.agent == agent
         ]
         if states and all(state == "parked" for _, state in states):
             found.append(IdleCoordinator(agent, states[0][0], is_parked=True))
@@ -110,10 +112,10 @@ def left_behind(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -
     For example a host that was killed in the moment of the end: it waits for those that have ended.
     """
     known = [statuses[host] for host in mission.hosts if host in statuses]
-    runs = any(one.state in _RUNNING for status in known for one in status.unfinished)
-    if runs or not any(one.run.has_completed for one in known):
+    runs = any(coordinator.state in _RUNNING for status in known for coordinator in status.unfinished)
+    if runs or not any(status.run.has_completed for status in known):
         return []
-    return [one.host for one in known if one.run.phase == "running" and not one.run.reason]
+    return [status.host for status in known if status.run.phase == "running" and not status.run.reason]
 
 
 def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
@@ -123,7 +125,7 @@ def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
 
 def idle_text(idle: Collection[IdleCoordinator], host: str) -> str:
     """The reasons of the idle coordinators of a host."""
-    return "; ".join(one.reason for one in idle if one.host == host)
+    return "; ".join(coordinator.reason for coordinator in idle if coordinator.host == host)
 
 
 def _has(statuses: Mapping[str, ServiceStatus], host: str, digest: bytes) -> bool:
@@ -142,5 +144,5 @@ def _mission(digest: bytes, statuses: Mapping[str, ServiceStatus]) -> ActiveMiss
 
 def bundle_info(statuses: Mapping[str, ServiceStatus], digest: bytes) -> BundleInfo | None:
     """The description of a bundle that one of the hosts has stored."""
-    every = (info for status in statuses.values() for info in status.bundles)
-    return next((info for info in every if info.digest == digest), None)
+    infos = (info for status in statuses.values() for info in status.bundles)
+    return next((info for info in infos if info.digest == digest), None)

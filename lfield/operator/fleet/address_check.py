@@ -71,7 +71,7 @@ async def check_endpoints(
     """The state of each address. Without a `transport` (no keys), only whether a connection is accepted."""
     slots = asyncio.Semaphore(MAX_AT_ONCE)
 
-    async def one(endpoint: Endpoint) -> EndpointState:
+    async def check_one(endpoint: Endpoint) -> EndpointState:
         async with slots:
             try:
                 if transport is None or endpoint.purpose == "ssh":
@@ -85,7 +85,7 @@ async def check_endpoints(
                 return EndpointState("refused", error=error)
 
     checked = list(endpoints)
-    return dict(zip(checked, await asyncio.gather(*map(one, checked)), strict=True))
+    return dict(zip(checked, await asyncio.gather(*map(check_one, checked)), strict=True))
 
 
 async def _authenticate(endpoint: Endpoint, transport: Transport, crl: PresentedCrl | None) -> EndpointState:
@@ -108,12 +108,12 @@ async def _connect(endpoint: Endpoint) -> EndpointState:
     try:
         async with asyncio.timeout(TIMEOUT):
             found = await resolve(*split_address(endpoint.address))
-            made, _ = await first_connected(found, failures)
+            link, _ = await first_connected(found, failures)
     except TimeoutError:
         raise AddressError(endpoint.address, f"no answer within {TIMEOUT:g} s") from None
     except ConnectionRefusedError:
         raise NoListener(endpoint.address) from None
     except (OSError, UnicodeError) as error:
         raise AddressError(endpoint.address, describe(error)) from None
-    made.close()
+    link.close()
     return EndpointState("answers")

@@ -75,7 +75,7 @@ class UploadProgress:
 async def upload(
     links: ServiceLinks,
     host: str,
-    what: Upload,
+    source: Upload,
     *,
     patience: float,
     on_progress: Callable[[UploadProgress], None] = lambda progress: None,
@@ -85,7 +85,7 @@ async def upload(
     Links are made again, and a host that stores other bundles first is asked again, until no piece was
     confirmed for `patience` seconds. Raises AddressError, HandshakeError, KeysError.
     """
-    progress = UploadProgress(total=len(what.pieces))
+    progress = UploadProgress(total=len(source.pieces))
     now = asyncio.get_running_loop().time
     last, stored = now(), 0
     while True:
@@ -93,7 +93,7 @@ async def upload(
         try:
             async with links.link(host) as link:
                 progress.attempts += 1
-                await _transfer(link, what, progress, on_progress)
+                await _transfer(link, source, progress, on_progress)
         except AddressError as error:
             broken = error
         if broken is None and not progress.is_deferred:
@@ -110,24 +110,24 @@ async def upload(
 
 async def _transfer(
     link: ServiceLink,
-    what: Upload,
+    source: Upload,
     progress: UploadProgress,
     on_progress: Callable[[UploadProgress], None],
 ) -> None:
     """One attempt, until the host has stored the bundle or refuses it. Raises LfieldError."""
     progress.stored, progress.refusal, progress.is_deferred = 0, "", False
-    for first in range(0, len(what.pieces), MAX_OFFER):
-        await _send_missing(link, what, first, progress, on_progress)
+    for first in range(0, len(source.pieces), MAX_OFFER):
+        await _send_missing(link, source, first, progress, on_progress)
         if progress.refusal:
             return
-    result = await link.ask(StageRequest(what.digest, what.file), StageResult, STAGE_TIMEOUT)
+    result = await link.ask(StageRequest(source.digest, source.file), StageResult, STAGE_TIMEOUT)
     progress.on_answer(result)
     progress.code = result.code
 
 
 async def _send_missing(
     link: ServiceLink,
-    what: Upload,
+    source: Upload,
     first: int,
     progress: UploadProgress,
     on_progress: Callable[[UploadProgress], None],
@@ -136,19 +136,19 @@ async def _send_missing(
 
     Every answer was received at the end: the link may be used again. Raises LfieldError.
     """
-    some = what.pieces[first : first + MAX_OFFER]
-    entries = [(piece.digest, piece.size) for piece in map(piece_of, some)]
-    offer = BundleOffer(what.digest, what.file, what.size, len(what.pieces), first, entries)
+    offered = source.pieces[first : first + MAX_OFFER]
+    entries = [(piece.digest, piece.size) for piece in map(piece_of, offered)]
+    offer = BundleOffer(source.digest, source.file, source.size, len(source.pieces), first, entries)
     request = await link.ask(offer, PieceRequest)
     progress.on_answer(request)
     if request.trouble:
         return
-    progress.stored += len(some) - len(request.missing)
+    progress.stored += len(offered) - len(request.missing)
     on_progress(progress)
     under_way = 0
     for number in request.missing:
-        packed, data = compress(what.pieces[number])
-        link.send(BundlePiece(what.file, number, packed, data))
+        packed, data = compress(source.pieces[number])
+        link.send(BundlePiece(source.file, number, packed, data))
         progress.sent += len(data)
         under_way += 1
         if under_way >= WINDOW:

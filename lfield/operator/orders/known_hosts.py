@@ -99,10 +99,10 @@ class KnownHosts:
             _store(self._hosts, (self._team, host), known)
             self._changed[self._team, host] = None
 
-    def on_verified(self, certificate: bytes, who: Identity) -> None:
+    def on_verified(self, certificate: bytes, identity: Identity) -> None:
         """Store a certificate in DER that a handshake has verified."""
-        if who.kind == "host":
-            self.learn(who.name, certificate=certificate)
+        if identity.kind == "host":
+            self.learn(identity.name, certificate=certificate)
 
     def save(self) -> None:
         """Merge the changes into the cache file, which other commands may have written meanwhile."""

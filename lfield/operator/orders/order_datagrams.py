@@ -87,7 +87,7 @@ class OrderDatagrams:
 
     async def _look_up(self, host: str) -> None:
         # A fabric does not carry our datagrams.
-        each = [one for one in split_addresses(self._addresses[host]) if not is_zenoh(one)]
+        each = [address for address in split_addresses(self._addresses[host]) if not is_zenoh(address)]
         try:
             lookups = AddressLookups(each)
         except AddressError:
@@ -138,8 +138,8 @@ class OrderDatagrams:
                 self._answers[host].set_exception(HandshakeError(f"{host} refused: {result.why}"))
                 return
             case OrderConfirmed():
-                why = f"it has executed the order, and does not say how {result.more} of its devices are"
-                self._partial[host] = AddressError(self._addresses[host], why)
+                reason = f"it has executed the order, and does not say how {result.more} of its devices are"
+                self._partial[host] = AddressError(self._addresses[host], reason)
                 self._needs_link[host].set()
 
     def _plan(self) -> None:

@@ -102,7 +102,7 @@ class OrderRoundTrip(SmoothedRtt):
     def __init__(self, measured: float | None = None) -> None:
         super().__init__(measured, FIRST_VARIATION)
         #: The latest and the least sample of this order in seconds: the initial values of a later order.
-        self.latest, self.least = 0.0, measured
+        self.latest, self.minimum = 0.0, measured
 
     @property
     def time_out(self) -> float | None:
@@ -120,7 +120,7 @@ class OrderRoundTrip(SmoothedRtt):
         """See `SmoothedRtt.update`. An answer later than the mean indicates a queue that still exists."""
         super().update(sample)
         # The first sample of an order replaces the values of an earlier one.
-        self.least = min(sample, self.least) if self.latest and self.least else sample
+        self.minimum = min(sample, self.minimum) if self.latest and self.minimum else sample
         self.latest = sample
 
 
@@ -171,8 +171,8 @@ class OrderProtocol:
         self._hosts: dict[str, _Host] = {}
         self._out: list[OutgoingDatagram] = []
         for host, epochs in hosts.items():
-            trip, shown = OrderRoundTrip(earlier.trips.get(host)), earlier.certificates.get(host)
-            self._hosts[host] = _Host(epochs, trip, self._signed(host, epochs), epochs.of(kind), shown)
+            trip, certificate = OrderRoundTrip(earlier.trips.get(host)), earlier.certificates.get(host)
+            self._hosts[host] = _Host(epochs, trip, self._signed(host, epochs), epochs.of(kind), certificate)
 
     # --- results --------------------------------------------------------------------------------------
 
@@ -195,7 +195,7 @@ class OrderProtocol:
     @property
     def trips(self) -> dict[str, float]:
         """The measured round trips, in seconds, for a later order."""
-        measured = {name: host.trip.least for name, host in self._hosts.items()}
+        measured = {name: host.trip.minimum for name, host in self._hosts.items()}
         return {name: seconds for name, seconds in measured.items() if seconds is not None}
 
     @property
@@ -314,8 +314,8 @@ class OrderProtocol:
 
     def _signed(self, name: str, epochs: Epochs) -> SignedOrder:
         """The order for one host alone: one for all would need larger datagrams."""
-        to = (OrderTarget(name, epochs.of(self.kind)),)
-        return self._signer.order(Order(self.kind, self.id, self._reason, to))
+        targets = (OrderTarget(name, epochs.of(self.kind)),)
+        return self._signer.order(Order(self.kind, self.id, self._reason, targets))
 
     def _measure(self, host: _Host, attempt: int, now: float) -> None:
         sent = host.sent.pop(attempt, None)
@@ -346,8 +346,8 @@ class OrderProtocol:
         if others:
             self._queue(others[host.attempts % len(others)], host, 0, (0,))
 
-    def _queue(self, to: str, host: _Host, attempt: int, relay: tuple[int, ...]) -> None:
-        certificate = host.certificate or (self._hosts[to].certificate if relay else b"")
+    def _queue(self, name: str, host: _Host, attempt: int, relay: tuple[int, ...]) -> None:
+        certificate = host.certificate or (self._hosts[name].certificate if relay else b"")
         signed = replace(
             host.signed,
             certificate=certificate,
@@ -356,7 +356,7 @@ class OrderProtocol:
             attempt=attempt,
         )
         try:
-            self._out.append(OutgoingDatagram(to, encode_datagram(signed)))
+            self._out.append(OutgoingDatagram(name, encode_datagram(signed)))
         except WireError:
             # The certificate does not fit together with a long name: the link must be used.
             host.due = None
@@ -369,7 +369,7 @@ class OrderProtocol:
 
         A host without a measurement of its own is waited for like the slowest of the others.
         """
-        measured = [late for one in self._hosts.values() if (late := one.trip.time_out) is not None]
+        measured = [late for other in self._hosts.values() if (late := other.trip.time_out) is not None]
         late = host.trip.time_out or max(measured, default=FIRST_INTERVAL)
         repeats = max(0, host.unanswered - 1)
         if not repeats and not host.has_answered:
@@ -377,18 +377,18 @@ class OrderProtocol:
             late = min(late, MIN_INTERVAL)
         if host.receipts and not host.unanswered:
             late = max(late, LEAST_EXECUTING)
-        pace = self._pace()
+        minimum_pause = self._minimum_pause()
         if not measured:
-            late = max(late, pace)
+            late = max(late, minimum_pause)
         longer = late * BACKOFF ** max(0, repeats - (EQUAL_INTERVALS if measured else EQUAL_UNANSWERED))
-        return max(pace, min(longer, max(MAX_INTERVAL, late)))
+        return max(minimum_pause, min(longer, max(MAX_INTERVAL, late)))
 
-    def _pace(self) -> float:
+    def _minimum_pause(self) -> float:
         """Seconds that a slow radio takes for a datagram to each host that has no result, and the answers."""
-        waiting = [one for one in self._hosts.values() if one.result is None]
-        size = sum(len(one.signed.order) + len(one.certificate) + OVERHEAD for one in waiting)
-        size += sum(SHOWN for one in waiting if one.certificate and one.known is None)
-        trips = [one.trip.mean for one in self._hosts.values() if one.trip.mean is not None]
+        waiting = [host for host in self._hosts.values() if host.result is None]
+        size = sum(len(host.signed.order) + len(host.certificate) + OVERHEAD for host in waiting)
+        size += sum(SHOWN for host in waiting if host.certificate and host.known is None)
+        trips = [host.trip.mean for host in self._hosts.values() if host.trip.mean is not None]
         return size / max(SEND_RATE, EXCHANGE * len(trips) / max(trips, default=1.0))
 
 

@@ -48,9 +48,9 @@ class OrderSender:
                 {host: self._certificate_of(host, known.certificate) for host, known in found.items()},
             ),
         )
-        given = OrderDatagrams(asking, addresses, self._open_sockets)
-        given.start()
-        return given
+        datagrams = OrderDatagrams(asking, addresses, self._open_sockets)
+        datagrams.start()
+        return datagrams
 
     def _certificate_of(self, host: str, certificate: bytes) -> VerifiedCertificate | None:
         """The certificate of a host from a connection, or from the cache."""
@@ -59,10 +59,10 @@ class OrderSender:
                 self._certificates.add_der(certificate)
         return self._certificates.of_host(host)
 
-    def finish(self, given: OrderDatagrams) -> None:
+    def finish(self, datagrams: OrderDatagrams) -> None:
         """Close an order of `send`, and store new data about the hosts."""
-        given.close()
-        asking = given.protocol
+        datagrams.close()
+        asking = datagrams.protocol
         for host, epochs in asking.epochs.items():
             certificate = asking.certificates.get(host, b"")
             trip = asking.trips.get(host)

@@ -19,7 +19,7 @@ OnDatagram = Callable[[bytes, SocketAddress], None]
 class OrderSocket(Protocol):
     """A socket for datagrams."""
 
-    def send(self, data: bytes, to: ResolvedAddress) -> None:
+    def send(self, data: bytes, address: ResolvedAddress) -> None:
         """Send a datagram; it may be lost."""
 
     def close(self) -> None:
@@ -36,32 +36,32 @@ class OrderSockets:
         self._on_datagram = on_datagram
         self._sockets: dict[socket.AddressFamily, socket.socket] = {}
 
-    def send(self, data: bytes, to: ResolvedAddress) -> None:
+    def send(self, data: bytes, address: ResolvedAddress) -> None:
         """See `OrderSocket.send`."""
         try:
-            self._socket(to.family).sendto(data, to.address)
+            self._socket(address.family).sendto(data, address.address)
         except OSError:
             return
 
     def _socket(self, family: socket.AddressFamily) -> socket.socket:
-        made = self._sockets.get(family)
-        if made is None:
-            made = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
-            self._sockets[family] = made
-            asyncio.get_running_loop().add_reader(made, self._read, made)
-        return made
+        opened = self._sockets.get(family)
+        if opened is None:
+            opened = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+            self._sockets[family] = opened
+            asyncio.get_running_loop().add_reader(opened, self._read, opened)
+        return opened
 
-    def _read(self, made: socket.socket) -> None:
+    def _read(self, opened: socket.socket) -> None:
         for _ in range(MAX_RECEIVED):
             try:
-                data, sender = made.recvfrom(MAX_DATAGRAM + 1)
+                data, sender = opened.recvfrom(MAX_DATAGRAM + 1)
             except OSError:
                 return
             self._on_datagram(data, sender)
 
     def close(self) -> None:
         """See `OrderSocket.close`."""
-        for made in self._sockets.values():
-            asyncio.get_running_loop().remove_reader(made)
-            made.close()
+        for opened in self._sockets.values():
+            asyncio.get_running_loop().remove_reader(opened)
+            opened.close()
         self._sockets.clear()

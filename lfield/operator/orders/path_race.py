@@ -28,19 +28,19 @@ async def first_answer(
     host: str,
     new_link: NewLink,
     datagrams: OrderDatagrams | None = None,
-    standing: OpenLinkAnswer | None = None,
+    open_link: OpenLinkAnswer | None = None,
 ) -> EmergencyStopResult:
     """The answer of a host by the first path that has one. Raises the error of the link if no path has an
     answer, and HandshakeError if the host refuses.
     """
     loop = asyncio.get_running_loop()
-    needed = _LinkNeeded(host, datagrams, standing)
+    needed = _LinkNeeded(host, datagrams, open_link)
     link = loop.create_task(needed.over_new_link(new_link))
     tasks = {link}
     if datagrams is not None:
         tasks.add(loop.create_task(datagrams.answer(host)))
-    if standing is not None:
-        tasks.add(loop.create_task(needed.over_open_link(standing)))
+    if open_link is not None:
+        tasks.add(loop.create_task(needed.over_open_link(open_link)))
     try:
         return await _first(tasks, link, lambda: datagrams.partial(host) if datagrams else None)
     finally:
@@ -61,8 +61,8 @@ async def _first(
     failed: BaseException | None = None
     until: float | None = None
     while waiting:
-        left = None if until is None else until - loop.time()
-        done, waiting = await asyncio.wait(waiting, timeout=left, return_when=asyncio.FIRST_COMPLETED)
+        remaining = None if until is None else until - loop.time()
+        done, waiting = await asyncio.wait(waiting, timeout=remaining, return_when=asyncio.FIRST_COMPLETED)
         if not done:
             break
         for task in sorted(done, key=lambda task: task is link):
@@ -80,15 +80,15 @@ async def _first(
 class _LinkNeeded:
     """Opens a new link when the other paths have not answered."""
 
-    def __init__(self, host: str, datagrams: OrderDatagrams | None, standing: OpenLinkAnswer | None) -> None:
+    def __init__(self, host: str, datagrams: OrderDatagrams | None, open_link: OpenLinkAnswer | None) -> None:
         self._host, self._datagrams = host, datagrams
         self._open_link_lost = asyncio.Event()
-        self._has_open_link = standing is not None
+        self._has_open_link = open_link is not None
 
-    async def over_open_link(self, standing: OpenLinkAnswer) -> EmergencyStopResult:
+    async def over_open_link(self, open_link: OpenLinkAnswer) -> EmergencyStopResult:
         """Send over the open link; if that fails, a new one is opened at once."""
         try:
-            return await standing()
+            return await open_link()
         except LfieldError:
             self._open_link_lost.set()
             raise

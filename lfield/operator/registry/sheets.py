@@ -74,11 +74,11 @@ def in_terminal(sheet: Sheet) -> Iterator[str]:
 
 def _sheet(kind: str, name: str, rows: Mapping[str, Iterable[str] | str]) -> Sheet:
     """A sheet without empty rows."""
-    said = (
+    sections = (
         (label, tuple(line for line in ([lines] if isinstance(lines, str) else lines) if line))
         for label, lines in rows.items()
     )
-    return Sheet(kind, name, tuple((label, lines) for label, lines in said if lines))
+    return Sheet(kind, name, tuple((label, lines) for label, lines in sections if lines))
 
 
 # --- terms and attributes -----------------------------------------------------------------------------
@@ -120,8 +120,8 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
             yield f"{type}: {'live' if attribute.live else 'reported'}, {_source(provider.live[name])}"
         for served in provider.serves.values():
             if name in served.attributes:
-                said = f"{value_text(served.attributes[name], unit)}{_usual(name, served.nominal)}"
-                yield f"{type}, for {served.primitive}: {said}"
+                text = f"{value_text(served.attributes[name], unit)}{_usual(name, served.nominal)}"
+                yield f"{type}, for {served.primitive}: {text}"
     for agent, values in registry.agents.items():
         if name in values:
             yield f"agent {agent}: {value_text(values[name], unit)}"
@@ -132,12 +132,12 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
 
 def primitive_sheet(registry: Registry, primitive: Primitive) -> Sheet:
     """A primitive: its portals, its providers, and the primitives that it serves."""
-    none = ["No stock resource type serves it; a mission's own types may."]
+    no_provider = ["No stock resource type serves it; a mission's own types may."]
     rows = {
         "id": code(primitive.id),
         "meaning": primitive.meaning,
         "portals": [line for portal in primitive.portals.values() for line in _portal(portal)],
-        "served by": list(_served_by(registry, primitive.name)) or none,
+        "served by": list(_served_by(registry, primitive.name)) or no_provider,
         "serves": _serves_too(registry, primitive.name),
         "attributes": _attributes_of(registry, primitive.name),
     }
@@ -150,9 +150,9 @@ def _portal(portal: Portal) -> Iterator[str]:
     if portal.meaning:
         yield f"    {portal.meaning}"
     for parameter in portal.parameters:
-        said = ", ".join(filter(None, (parameter.unit, parameter.meaning)))
-        if said:
-            yield f"    {parameter.name}: {said}"
+        description = ", ".join(filter(None, (parameter.unit, parameter.meaning)))
+        if description:
+            yield f"    {parameter.name}: {description}"
     if portal.unit:
         yield f"    emits {portal.unit}"
     yield f"    {portal.effect}" + (f", raises {listed(portal.raises)}" if portal.raises else "")

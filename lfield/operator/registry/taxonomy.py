@@ -64,9 +64,11 @@ def tree(registry: Registry, id: str = "") -> list[TreeBranch]:
 
 
 def _branch(registry: Registry, term: TaxonomyTerm, name: str) -> TreeBranch:
-    said = f"out of use, write {term.deprecated}" if term.deprecated else term.meaning
+    description = f"out of use, write {term.deprecated}" if term.deprecated else term.meaning
     below = terms_below(registry, term.id)
     children = tuple(_branch(registry, child, child.id.rpartition(".")[2]) for child in below)
     return TreeBranch(
-        f"{name}: {said}" if said else name, children, ", ".join(primitives_of(registry, term.id))
+        f"{name}: {description}" if description else name,
+        children,
+        ", ".join(primitives_of(registry, term.id)),
     )

@@ -50,8 +50,8 @@ _NO_POSITION: ProgramPosition = ("", "", 0, "")
 class _Hop:
     generation: int
     sequence: int
-    of: str
-    to: str
+    source: str
+    target: str
     when: float
     resource: str = ""
     portal: str = ""
@@ -74,7 +74,7 @@ class _Agent:
     #: Whether all hops of this start are counted: the start was received, or its own host reports it.
     counted: bool = False
     served: int = 0
-    to: str = ""
+    target: str = ""
     state: str = ""
     file: str = ""
     line: int = 0
@@ -110,12 +110,12 @@ class _Agent:
             self.counted = False
             self.trail.clear()
             self.arrivals.clear()
-            self.to = self.finished = self.detail = self.doubt = ""
+            self.target = self.finished = self.detail = self.doubt = ""
 
     def set_running(self, host: str, generation: int, sequence: int, when: float) -> None:
         """Set that the agent runs on a host."""
         self.host, self.generation, self.sequence, self.when = host, generation, sequence, when
-        self.to = self.finished = self.detail = self.doubt = ""
+        self.target = self.finished = self.detail = self.doubt = ""
 
     def set_position(self, state: str, file: str = "", line: int = 0, waits: str = "") -> None:
         """Set the activity of the agent."""
@@ -172,7 +172,7 @@ class AgentTracker:
                 agent.positions[host] = (state, file, line, waits)
                 if agent.host != host and _is_stale(agent, when) and self._is_coordinator(event.agent):
                     # The agent hops so often that its hosts could not report each hop.
-                    agent.host, agent.to = host, ""
+                    agent.host, agent.target = host, ""
                 if agent.host == host and not agent.finished:
                     agent.set_position(state, file, line, waits)
                     agent.when = when
@@ -206,7 +206,7 @@ class AgentTracker:
         if generation < agent.generation or (how == "superseded" and agent.finished):
             return
         agent.generation, agent.finished, agent.detail, agent.when = generation, how, detail, when
-        agent.host, agent.to, agent.doubt = host, "", ""
+        agent.host, agent.target, agent.doubt = host, "", ""
         agent.set_position("")
 
     def on_status(
@@ -229,7 +229,7 @@ class AgentTracker:
                 agent.hops, agent.served = max(agent.hops, reported.hops), reported.served
                 agent.set_position(reported.state, agent.file, agent.line, agent.waits)
         for agent in self._known.values():
-            if agent.host == host and agent.entry.agent not in here and not (agent.to or agent.finished):
+            if agent.host == host and agent.entry.agent not in here and not (agent.target or agent.finished):
                 agent.set_position("not reported" if agent.when is not None else "")
 
     def on_startable(self, host: str, names: Iterable[str], now: float) -> None:
@@ -254,7 +254,7 @@ class AgentTracker:
         """Clear the activity of the resources of a host with a new incarnation."""
         for agent in self._known.values():
             agent.newest.pop(host, None)
-            if agent.host == host and not agent.to:
+            if agent.host == host and not agent.target:
                 agent.set_position("")
                 if self._kinds.get(agent.entry.agent) == "resource":
                     agent.finished = agent.detail = ""
@@ -300,7 +300,7 @@ class AgentTracker:
             generation=agent.generation,
             hops=agent.hops if agent.counted or agent.hops or not agent.finished else None,
             served=agent.served,
-            to=agent.to,
+            to=agent.target,
             state=agent.state,
             file=agent.file,
             line=agent.line,
@@ -322,7 +322,7 @@ def _is_stale(agent: _Agent, when: float) -> bool:
 def _hop_state(hop: _Hop, now: float) -> HopState:
     age = max(0.0, now - hop.when)
     return HopState(
-        hop.sequence, hop.of, hop.to, age, hop.resource, hop.portal, hop.size, hop.seconds, hop.failed
+        hop.sequence, hop.source, hop.target, age, hop.resource, hop.portal, hop.size, hop.seconds, hop.failed
     )
 
 
@@ -331,29 +331,29 @@ def _on_hop(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
     generation, sequence = event.generation, event.sequence
     hop, is_old = agent.hop(generation, sequence), is_past or agent.knows_newer_than(generation, sequence)
     match event:
-        case events.MigrationStarted(_, _, _, to, resource, portal, size):
+        case events.MigrationStarted(_, _, _, target, resource, portal, size):
             if hop is None:
-                hop = _Hop(generation, sequence, host, to, when)
+                hop = _Hop(generation, sequence, host, target, when)
                 agent.add(hop)
                 if not is_old:
                     agent.set_running(host, generation, sequence, when)
-                    agent.to = to
+                    agent.target = target
                     agent.set_position("on its way")
             hop.resource, hop.portal, hop.size, hop.when = resource, portal, size, min(hop.when, when)
-        case events.MigrationArrived(_, _, _, of, size):
+        case events.MigrationArrived(_, _, _, source, size):
             if hop is None:
-                hop = _Hop(generation, sequence, of, host, when, size=size)
+                hop = _Hop(generation, sequence, source, host, when, size=size)
                 agent.add(hop)
             if not is_old and not hop.has_arrived:
                 hop.has_arrived = True
                 agent.hops += 1
                 agent.arrivals.append(when)
                 agent.on_arrival(host, generation, sequence, when)
-        case events.MigrationConfirmed(_, _, _, to, seconds):
+        case events.MigrationConfirmed(_, _, _, target, seconds):
             if hop is not None:
                 hop.seconds = seconds
-            if not is_old and agent.to == to:
-                agent.on_arrival(to, generation, sequence, when)
+            if not is_old and agent.target == target:
+                agent.on_arrival(target, generation, sequence, when)
         case events.MigrationFailed(_, _, _, _, exception, reason):
             if hop is not None:
                 hop.failed = ": ".join(filter(None, (exception, reason))) or "it stayed"
@@ -370,11 +370,11 @@ def _on_record(agent: _Agent, host: str, known: CoordinatorState, now: float) ->
     match known.state:
         case "RUN":
             agent.hops, agent.counted = known.hops, True
-            if is_newer or agent.host != host or agent.to:
+            if is_newer or agent.host != host or agent.target:
                 agent.set_running(host, generation, sequence, now)
         case "FROZEN" | "PREPARED":
             agent.set_running(host, generation, sequence, now)
-            agent.to = known.where
+            agent.target = known.where
             agent.set_position("on its way")
         case "IN DOUBT":
             agent.doubt = known.detail or "unknown whether it is alive"
@@ -386,7 +386,7 @@ def _on_record(agent: _Agent, host: str, known: CoordinatorState, now: float) ->
                 # A record of an end does not contain the number of hops.
                 agent.hops, agent.counted = max(agent.hops, known.hops), True
             agent.finished, agent.detail = known.outcome or "done", known.detail
-            agent.generation, agent.host, agent.to, agent.doubt = generation, known.where or host, "", ""
+            agent.generation, agent.host, agent.target, agent.doubt = generation, known.where or host, "", ""
             agent.set_position("")
         case "PARKED":
             agent.set_position("parked")

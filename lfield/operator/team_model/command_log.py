@@ -43,7 +43,7 @@ class _Command:
     answers: dict[str, EmergencyStopResult | str | None] = field(default_factory=dict)
 
     def snapshot(self, now: float, hosts: Mapping[str, HostState], unsafe: Mapping[str, str]) -> OrderState:
-        asked, done = [], []
+        pending, done = [], []
         unreached: dict[str, str] = {}
         unconfirmed: dict[str, str] = {}
         troubles: dict[str, str] = {}
@@ -54,19 +54,19 @@ class _Command:
                 if is_executed or host is None or not host.linked:
                     done.append(name)
                 unconfirmed |= {
-                    device: why for device, why in answer.devices.items() if why and device in unsafe
+                    device: reason for device, reason in answer.devices.items() if reason and device in unsafe
                 }
                 if answer.trouble:
                     troubles[name] = answer.trouble
             elif answer is None:
-                asked.append(name)
+                pending.append(name)
             elif is_executed:
                 done.append(name)
             else:
                 unreached[name] = _NOT_DONE if host is not None and host.linked else answer
         age = max(0.0, now - self.when)
         return OrderState(
-            self.number, self.order, age, tuple(asked), tuple(done), unreached, unconfirmed, troubles
+            self.number, self.order, age, tuple(pending), tuple(done), unreached, unconfirmed, troubles
         )
 
 

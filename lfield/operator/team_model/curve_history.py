@@ -29,17 +29,17 @@ class CurveHistory:
             return
         self._last = now
         for agent, vehicle in vehicles.items():
-            for what, value in _values(vehicle):
-                self._point(what, agent, now, value)
+            for kind, value in _values(vehicle):
+                self._point(kind, agent, now, value)
         for agent, count in hops.items():
             self._point("hops", agent, now, count)
 
-    def _point(self, what: CurveKind, of: str, now: float, value: float) -> None:
-        points = self._points.get((what, of))
+    def _point(self, kind: CurveKind, subject: str, now: float, value: float) -> None:
+        points = self._points.get((kind, subject))
         if points is None:
             if len(self._points) >= MAX_CURVES:
                 return
-            points = self._points[what, of] = deque()
+            points = self._points[kind, subject] = deque()
         points.append((now, value))
         while points[0][0] < now - WINDOW:
             points.popleft()
@@ -47,10 +47,10 @@ class CurveHistory:
     def snapshot(self, now: float) -> tuple[Curve, ...]:
         """All curves, without those that have no point in the window."""
         found = []
-        for (what, of), points in self._points.items():
-            shown = tuple((now - when, value) for when, value in points if when >= now - WINDOW)
-            if shown:
-                found.append(Curve(what, of, shown))
+        for (kind, subject), points in self._points.items():
+            samples = tuple((now - when, value) for when, value in points if when >= now - WINDOW)
+            if samples:
+                found.append(Curve(kind, subject, samples))
         return tuple(found)
 
 

@@ -164,10 +164,10 @@ def vehicle_of(
     """
     table = [(device, inventory.instruments(device.name)) for device in state]
 
-    def first(what: str) -> TelemetryReading | None:
+    def first(quantity: str) -> TelemetryReading | None:
         for device, instruments in table:
-            reading = device.readings.get(getattr(instruments, what))
-            if reading is not None and _fits(what, reading):
+            reading = device.readings.get(getattr(instruments, quantity))
+            if reading is not None and _fits(quantity, reading):
                 return reading
         return None
 
@@ -212,9 +212,9 @@ def vehicle_of(
     )
 
 
-def _fits(what: str, reading: TelemetryReading) -> bool:
+def _fits(quantity: str, reading: TelemetryReading) -> bool:
     """Whether a reading is plausible for its name: hosts may report anything."""
-    match what:
+    match quantity:
         case "place":
             return local(reading) is not None
         case "earth" | "home":

@@ -57,19 +57,19 @@ class HostModel:
         #: batch so far), and the last time of that clock.
         self._last_update: float | None = None
         self._clock: float | None = None
-        self._up = 0.0
+        self._uptime = 0.0
         self._refused: dict[str, str] = {}
         self._links: dict[str, LinkState] = {}
-        self._away: dict[str, float] = {}
+        self._silent_since: dict[str, float] = {}
 
     # --- in -------------------------------------------------------------------------------------------
 
     def on_linked(self) -> None:
         self.known = replace(self.known, linked=True, trouble="", error=None)
 
-    def on_unlinked(self, why: str, error: LfieldError | None = None) -> None:
+    def on_unlinked(self, reason: str, error: LfieldError | None = None) -> None:
         """Record that there is no link, or that the host has not answered, because of an `error`."""
-        self.known = replace(self.known, linked=False, trouble=why, error=error)
+        self.known = replace(self.known, linked=False, trouble=reason, error=error)
 
     def on_restarted(self) -> None:
         """Start a new incarnation of the host: only the telemetry is kept, and its clock may be another
@@ -88,7 +88,7 @@ class HostModel:
         self.on_linked()
         self.incarnation = batch.incarnation
         self.first_after = batch.after if self.first_after is None else self.first_after
-        self._last_update, self._up = now, batch.up
+        self._last_update, self._uptime = now, batch.up
         behind = now - batch.up
         self._clock = behind if self._clock is None else min(behind, self._clock + DRIFT)
         if took is not None or self.known.clock is None:
@@ -112,20 +112,20 @@ class HostModel:
         )
         self._refused = {refused.host: refused.reason for refused in report.refused}
         self._links = {link.host: _measured(link) for link in report.links if link.away is None}
-        self._away = {link.host: now - link.away for link in report.links if link.away is not None}
+        self._silent_since = {link.host: now - link.away for link in report.links if link.away is not None}
         self.offers = {entry.agent: entry.refusal for entry in report.directory}
         self.devices.on_snapshot(report.devices, now)
 
-    def on_past_event(self, what: object, when: float) -> None:
+    def on_past_event(self, event: object, when: float) -> None:
         """Handle an event before the snapshot: only its time and operator are used."""
-        if isinstance(what, events.EmergencyStopChanged) and self.known.stopped and not what.lifted:
-            self.stopped_by, self.stopped_at = what.by, when
+        if isinstance(event, events.EmergencyStopChanged) and self.known.stopped and not event.lifted:
+            self.stopped_by, self.stopped_at = event.by, when
 
-    def on_event(self, what: object, when: float) -> None:
+    def on_event(self, event: object, when: float) -> None:
         """Handle an event after the snapshot. Portal calls and instructions leave no state."""
-        if isinstance(what, DeviceEvent):
-            self.devices.on_event(what, when)
-        match what:
+        if isinstance(event, DeviceEvent):
+            self.devices.on_event(event, when)
+        match event:
             case events.EmergencyStopChanged(by, reason, lifted):
                 stopped = "" if lifted else reason or "the emergency stop was pressed"
                 self.known = replace(self.known, stopped=stopped)
@@ -148,13 +148,13 @@ class HostModel:
                 self.known = replace(self.known, reads=tuple(filter(None, agents.split(", "))))
             case events.LinkUp(peer):
                 self._links[peer] = LinkState()
-                self._away.pop(peer, None)
+                self._silent_since.pop(peer, None)
             case events.LinkDown(peer, lost):
                 self._links.pop(peer, None)
                 if lost:
-                    self._away[peer] = when
+                    self._silent_since[peer] = when
             case events.LinkTelemetry(peer) if peer in self._links:
-                self._links[peer] = _measured(what, self._links[peer])
+                self._links[peer] = _measured(event, self._links[peer])
             case events.OfferPublished(agent):
                 self.offers[agent] = ""
             case events.OfferWithdrawn(agent, reason):
@@ -162,21 +162,21 @@ class HostModel:
             case _:
                 pass
 
-    def on_log_event(self, what: LogEvent) -> None:
+    def on_log_event(self, event: LogEvent) -> None:
         """Handle an event of the log: events that the host itself has dropped are lost."""
-        if isinstance(what, events.EventsDropped):
-            self._lost[what.skipped] += what.count
+        if isinstance(event, events.EventsDropped):
+            self._lost[event.skipped] += event.count
 
     def on_answer(self, answer: EmergencyStopResult) -> None:
         """Handle the answer to an order, which names the devices that have a safe state."""
         self.devices.on_movable(answer.devices)
-        self.refusals = {device: why for device, why in answer.devices.items() if why}
+        self.refusals = {device: reason for device, reason in answer.devices.items() if reason}
 
     # --- out ------------------------------------------------------------------------------------------
 
-    def when(self, up: float, now: float) -> float:
-        """The time on our clock at which the clock of the host showed `up`; not later than now."""
-        return now if self._clock is None else min(now, up + self._clock)
+    def when(self, uptime: float, now: float) -> float:
+        """The time on our clock at which the clock of the host showed `uptime`; not later than now."""
+        return now if self._clock is None else min(now, uptime + self._clock)
 
     def state(self, now: float) -> HostState:
         """The state of the host at that time."""
@@ -184,10 +184,10 @@ class HostModel:
         return replace(
             self.known,
             age=since,
-            up=None if since is None else self._up + (since if self.known.linked else 0.0),
+            up=None if since is None else self._uptime + (since if self.known.linked else 0.0),
             refused=dict(self._refused),
             links=dict(self._links),
-            away={peer: max(0.0, now - when) for peer, when in self._away.items()},
+            away={peer: max(0.0, now - when) for peer, when in self._silent_since.items()},
             lost=dict(self._lost),
             devices=self.devices.states(self.known.host, now, fresh=self.known.linked),
         )
@@ -212,6 +212,14 @@ def host_states(answers: Mapping[K, EventBatch | LfieldError]) -> dict[K, HostSt
     return found
 
 
-def _measured(of: LinkStatus | events.LinkTelemetry, before: LinkState = NO_LINK) -> LinkState:
-    rest = of if isinstance(of, LinkStatus) else before
-    return LinkState(of.round_trip, of.loss, of.sent, of.received, rest.kinds, rest.path, rest.standby)
+def _measured(measurement: LinkStatus | events.LinkTelemetry, before: LinkState = NO_LINK) -> LinkState:
+    status = measurement if isinstance(measurement, LinkStatus) else before
+    return LinkState(
+        measurement.round_trip,
+        measurement.loss,
+        measurement.sent,
+        measurement.received,
+        status.kinds,
+        status.path,
+        status.standby,
+    )

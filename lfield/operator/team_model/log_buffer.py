@@ -30,9 +30,9 @@ class LogRecord(NamedTuple):
     what: LogEvent
 
 
-def lost_events_text(what: str, count: int) -> str:
+def lost_events_text(subject: str, count: int) -> str:
     """The line about events that a host left out."""
-    return f"{count} {what} left out: too frequent"
+    return f"{count} {subject} left out: too frequent"
 
 
 def lines_of(text: str) -> list[str]:
@@ -57,16 +57,16 @@ class LineAssembler:
         #: The text that a program on a host has written since its last line ended.
         self._incomplete: dict[tuple[str, str], str] = {}
 
-    def lines(self, host: str, what: Printed) -> list[str]:
+    def lines(self, host: str, printed: Printed) -> list[str]:
         """The lines that have ended now."""
-        if what.on == "log":
-            return lines_of(what.text)
-        key = (host, what.agent)
-        *lines, rest = (self._incomplete.pop(key, "") + what.text).split("\n")
-        if len(rest) > MAX_LENGTH:
-            lines, rest = [*lines, rest], ""
-        if rest:
-            self._incomplete[key] = rest
+        if printed.on == "log":
+            return lines_of(printed.text)
+        key = (host, printed.agent)
+        *lines, remainder = (self._incomplete.pop(key, "") + printed.text).split("\n")
+        if len(remainder) > MAX_LENGTH:
+            lines, remainder = [*lines, remainder], ""
+        if remainder:
+            self._incomplete[key] = remainder
         return lines
 
 
@@ -89,8 +89,8 @@ class LogBuffer:
     def start(self, before: Iterable[LogRecord]) -> None:
         """Add the backlog, then the events held back."""
         held, self._held = self._held or (), None
-        for said in (*before, *held):
-            self.add(said)
+        for record in (*before, *held):
+            self.add(record)
 
     def add(self, record: LogRecord) -> None:
         """Add a new event."""

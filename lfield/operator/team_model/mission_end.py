@@ -96,7 +96,7 @@ class MissionEnd:
     def on_linked(self, host: str) -> None:
         """Has no effect: the first batch follows."""
 
-    def on_unlinked(self, host: str, why: str) -> None:
+    def on_unlinked(self, host: str, reason: str) -> None:
         """See `StreamHandler.on_unlinked`."""
         self._hosts[host].is_linked = False
 
@@ -145,8 +145,8 @@ class MissionEnd:
         self._coordinators |= {row.agent for row in report.coordinators} | known.waiting
         self._coordinators |= {agent.id for agent in report.agents if agent.kind == "coordinator"}
 
-    def _on_event(self, known: _Host, what: object) -> None:
-        match what:
+    def _on_event(self, known: _Host, event: object) -> None:
+        match event:
             case events.AgentStarted(agent, generation) | events.CoordinatorRecovered(agent, generation):
                 _set(known, agent, generation, state="RUN")
                 known.waiting -= {agent}

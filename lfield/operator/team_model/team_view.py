@@ -61,9 +61,9 @@ class TeamView:
         self._host(name).on_linked()
         self._agents.on_linked(name)
 
-    def on_unlinked(self, name: str, why: str) -> None:
+    def on_unlinked(self, name: str, reason: str) -> None:
         """Record that a host has no link."""
-        self._host(name).on_unlinked(why)
+        self._host(name).on_unlinked(reason)
         self._agents.on_unlinked(name)
 
     def feed(self, name: str, batch: EventBatch, now: float, wall: float, took: float | None = None) -> None:
@@ -86,13 +86,13 @@ class TeamView:
         self.revision += 1
         records = []
         for name, incarnation, event in before:
-            host, what = self._host(name), event.what
-            comes = host.first_after is not None and event.number > host.first_after
-            same = host.incarnation == incarnation
-            if isinstance(what, LogEvent) and not (comes and same):
-                when = host.when(event.up, now) if same else min(now, now - wall + event.at)
-                records.append(LogRecord(name, when, event.stamp, what))
-                host.on_log_event(what)
+            host, content = self._host(name), event.what
+            is_repeated = host.first_after is not None and event.number > host.first_after
+            is_same_run = host.incarnation == incarnation
+            if isinstance(content, LogEvent) and not (is_repeated and is_same_run):
+                when = host.when(event.up, now) if is_same_run else min(now, now - wall + event.at)
+                records.append(LogRecord(name, when, event.stamp, content))
+                host.on_log_event(content)
         self._log.start(records)
 
     def on_order(self, order: OrderKind, hosts: Collection[str], now: float) -> int:
@@ -139,23 +139,23 @@ class TeamView:
         self._agents.on_startable(name, report.startable, now)
 
     def _on_event(self, name: str, host: HostModel, event: Event, now: float) -> None:
-        when, what = host.when(event.up, now), event.what
-        is_past = event.number <= host.past and not isinstance(what, events.TelemetryEvent)
-        if isinstance(what, AgentEvent):
-            self._agents.on_event(name, what, when, is_past=is_past)
-        elif isinstance(what, LogEvent):
-            self._log.add(LogRecord(name, when, event.stamp, what))
-            host.on_log_event(what)
+        when, content = host.when(event.up, now), event.what
+        is_past = event.number <= host.past and not isinstance(content, events.TelemetryEvent)
+        if isinstance(content, AgentEvent):
+            self._agents.on_event(name, content, when, is_past=is_past)
+        elif isinstance(content, LogEvent):
+            self._log.add(LogRecord(name, when, event.stamp, content))
+            host.on_log_event(content)
         elif is_past:
-            host.on_past_event(what, when)
-        elif isinstance(what, events.PortalCallEnded):
-            self._agents.on_served(name, what.resource)
+            host.on_past_event(content, when)
+        elif isinstance(content, events.PortalCallEnded):
+            self._agents.on_served(name, content.resource)
         else:
-            self._countermanded(what, when)
-            host.on_event(what, when)
+            self._countermanded(content, when)
+            host.on_event(content, when)
 
-    def _countermanded(self, what: object, when: float) -> None:
-        match what:
+    def _countermanded(self, event: object, when: float) -> None:
+        match event:
             case events.EmergencyStopChanged(_, _, lifted):
                 self._commands.on_order_event("lift" if lifted else "stop", when)
             case events.PauseChanged(_, lifted, False):
@@ -179,7 +179,10 @@ class TeamView:
         fresh = {name: host.linked for name, host in hosts.items()}
         devices, offers = self._devices_by_agent(hosts), self._offers(fresh)
         unsafe = {
-            name: why for host in self._hosts.values() for name, why in host.devices.problems.items() if why
+            name: reason
+            for host in self._hosts.values()
+            for name, reason in host.devices.problems.items()
+            if reason
         }
         orders = self._commands.snapshot(now, hosts, unsafe)
         return TeamState(
@@ -244,7 +247,7 @@ class TeamView:
 
     def _stop(self, now: float, orders: Sequence[OrderState]) -> StopState:
         stopped = {name: host for name, host in self._hosts.items() if host.known.stopped}
-        standing = {name: host for name, host in stopped.items() if host.known.linked}
+        linked = {name: host for name, host in stopped.items() if host.known.linked}
         pressed = next((order for order in orders if order.order == "stop"), None)
         confirmed: list[str] = []
         unconfirmed: dict[str, str] = {}
@@ -257,26 +260,26 @@ class TeamView:
             else:
                 before[name] = tuple(safe)
             # The last report of an unreachable host counts while any stop is active.
-            if host.known.linked or standing or pressed is not None:
+            if host.known.linked or linked or pressed is not None:
                 unconfirmed |= {
-                    device: host.refusals.get(device, why) for device, why in states.items() if why
+                    device: host.refusals.get(device, reason) for device, reason in states.items() if reason
                 }
         unreached = dict(pressed.unreached) if pressed is not None else {}
-        asked = pressed.asked if pressed is not None else ()
-        for name, host in self._hosts.items() if standing or pressed is not None else ():
-            if name not in {*stopped, *unreached, *asked}:
+        pending = pressed.asked if pressed is not None else ()
+        for name, host in self._hosts.items() if linked or pressed is not None else ():
+            if name not in {*stopped, *unreached, *pending}:
                 unreached[name] = _unknown_why(host.known)
-        first = min((standing or stopped).values(), key=lambda host: host.stopped_at or now, default=NO_HOST)
+        first = min((linked or stopped).values(), key=lambda host: host.stopped_at or now, default=NO_HOST)
         age = None if first.stopped_at is None else max(0.0, now - first.stopped_at)
         return StopState(
             first.known.stopped,
             first.stopped_by,
             age,
-            tuple(standing),
+            tuple(linked),
             tuple(confirmed),
             unconfirmed,
             unreached,
-            asked,
+            pending,
             before,
         )
 

@@ -130,10 +130,10 @@ def frame_to_earth(place: LocalPosition, origin: Origin) -> GeoPosition | None:
 def earth_to_frame(place: GeoPosition, origin: Origin) -> LocalPosition:
     """A position on the Earth in the team's frame."""
     north, east = _radii(origin)
-    way = math.remainder(place.longitude - origin.longitude, 360.0)
+    longitude = math.remainder(place.longitude - origin.longitude, 360.0)
     down = None if place.altitude is None else origin.altitude - place.altitude
     return LocalPosition(
-        math.radians(place.latitude - origin.latitude) * north, math.radians(way) * east, down
+        math.radians(place.latitude - origin.latitude) * north, math.radians(longitude) * east, down
     )
 
 

@@ -22,7 +22,7 @@ MAX_TRACKS = 1024
 class TrackHistory:
     """The way of one vehicle: points with rising marks, which are times or numbers."""
 
-    most: int = MOST_KEPT
+    limit: int = MOST_KEPT
     marks: array[float] = field(default_factory=lambda: array("d"))
     points: list[TrackPoint] = field(default_factory=list)
     step: float = 1.0
@@ -33,7 +33,7 @@ class TrackHistory:
             return False
         self.marks.append(mark)
         self.points.append(point)
-        if len(self.points) > self.most:
+        if len(self.points) > self.limit:
             del self.points[1:-1:2], self.marks[1:-1:2]
             self.step *= 2.0
         return True
@@ -86,10 +86,13 @@ def point_of(vehicle: VehicleState) -> TrackPoint | None:
     return TrackPoint(place, None if earth is None else (round(earth.latitude, 7), round(earth.longitude, 7)))
 
 
-def _is_apart(one: TrackPoint, other: TrackPoint, step: float) -> bool:
-    for before, after, least in ((one.place, other.place, _DISTANCE), (one.earth, other.earth, _DEGREES)):
+def _is_apart(point: TrackPoint, other: TrackPoint, step: float) -> bool:
+    for before, after, minimum in (
+        (point.place, other.place, _DISTANCE),
+        (point.earth, other.earth, _DEGREES),
+    ):
         if (before is None) is not (after is None):
             return True
-        if before is not None and after is not None and math.dist(before, after) >= step * least:
+        if before is not None and after is not None and math.dist(before, after) >= step * minimum:
             return True
     return False

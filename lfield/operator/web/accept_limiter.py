@@ -76,39 +76,39 @@ class AcceptLimiter:
         assert self._make_protocol is not None
         while True:
             try:
-                made, name = await loop.sock_accept(opened)
+                connection, name = await loop.sock_accept(opened)
             except OSError:
                 # The peer has closed it already, or there is no descriptor left.
                 await asyncio.sleep(_RETRY_DELAY)
                 continue
-            self._admit(made, (name[0], name[1]))
-            task = loop.create_task(self._start(made, self._make_protocol))
+            self._admit(connection, (name[0], name[1]))
+            task = loop.create_task(self._start(connection, self._make_protocol))
             self._starting.add(task)
             task.add_done_callback(self._starting.discard)
 
-    def _admit(self, made: socket.socket, peer: PeerAddress) -> None:
+    def _admit(self, connection: socket.socket, peer: PeerAddress) -> None:
         pushed = self._unauthenticated.admit(peer, peer[0])
         if pushed is not None:
             _hang_up(self._sockets.pop(pushed))
-        self._sockets[peer] = made
-        asyncio.get_running_loop().call_later(self._patience, self._evict, peer, made)
+        self._sockets[peer] = connection
+        asyncio.get_running_loop().call_later(self._patience, self._evict, peer, connection)
 
-    def _evict(self, peer: PeerAddress, made: socket.socket) -> None:
+    def _evict(self, peer: PeerAddress, connection: socket.socket) -> None:
         """Close a connection that is still unauthenticated, if that port is not in use by a later one."""
-        if self._sockets.get(peer) is made:
+        if self._sockets.get(peer) is connection:
             self.on_authenticated(peer)
-            _hang_up(made)
+            _hang_up(connection)
 
-    async def _start(self, made: socket.socket, make_protocol: ProtocolFactory) -> None:
+    async def _start(self, connection: socket.socket, make_protocol: ProtocolFactory) -> None:
         loop = asyncio.get_running_loop()
         try:
-            await loop.connect_accepted_socket(make_protocol, made, ssl=self._tls)
+            await loop.connect_accepted_socket(make_protocol, connection, ssl=self._tls)
         except OSError:
             # The connection is not TLS, or was closed by the peer.
-            made.close()
+            connection.close()
 
 
-def _hang_up(made: socket.socket) -> None:
+def _hang_up(connection: socket.socket) -> None:
     """Shut the connection down; its protocol then closes the socket."""
     with suppress(OSError):
-        made.shutdown(socket.SHUT_RDWR)
+        connection.shutdown(socket.SHUT_RDWR)

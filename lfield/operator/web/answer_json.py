@@ -44,7 +44,7 @@ def _found(found: PrimitiveAnswer, units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _offer(offer: Offer, units: Mapping[str, str]) -> dict[str, Any]:
-    shown = list(offer.facts.items())[:SHOWN]
+    facts = list(offer.facts.items())[:SHOWN]
     return {
         "agent": offer.agent,
         "host": offer.host,
@@ -52,7 +52,7 @@ def _offer(offer: Offer, units: Mapping[str, str]) -> dict[str, Any]:
         "hosts": sorted({part.host for part in offer.parts.values()} or {offer.host}),
         "how": "direct" if offer.kind == "direct" else f"by {offer.rule}",
         "score": offer.score,
-        "facts": [f"{name} {value_text(fact.value, units.get(name, ''))}" for name, fact in shown],
+        "facts": [f"{name} {value_text(fact.value, units.get(name, ''))}" for name, fact in facts],
         # One level only: `lfield query` draws the whole tree.
         "parts": [f"{part.agent} at {part.host}: {part.primitive}" for part in offer.parts.values()],
     }

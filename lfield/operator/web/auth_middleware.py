@@ -123,11 +123,11 @@ def _token(scope: Scope) -> str | None:
     return found[0] if found else None
 
 
-async def _refuse(scope: Scope, why: str, send: Send) -> None:
+async def _refuse(scope: Scope, reason: str, send: Send) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008, "reason": "refused"})
     else:
-        await _answer(send, 403, why)
+        await _answer(send, 403, reason)
 
 
 async def _answer(

@@ -123,8 +123,10 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
     def _protocol(self) -> asyncio.Protocol:
-        made: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
-        return made(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
+        protocol_class: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
+        return protocol_class(
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
 
     @contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
@@ -180,11 +182,11 @@ def _add_actions(app: FastAPI, actions: OperatorActions, clock: Clock) -> None:
         if execute is None:
             return _refused("unknown action")
         # The hosts would refuse a denied order too; this saves the requests.
-        for order, why in actions.denied_orders.items():
+        for order, reason in actions.denied_orders.items():
             if order == action:
-                return _refused(why, 403)
-        if why := refusal(action, pressed, now):
-            return _refused(why, 409)
+                return _refused(reason, 403)
+        if reason := refusal(action, pressed, now):
+            return _refused(reason, 409)
         return _json(order_json(await execute()))
 
     @app.post("/type")
@@ -194,10 +196,10 @@ def _add_actions(app: FastAPI, actions: OperatorActions, clock: Clock) -> None:
             line = msgspec.convert(body, _Line)
         except msgspec.ValidationError as error:
             return _refused(f"not a line of input for an agent of a host: {error}")
-        if why := refusal("type", line.pressed, clock.monotonic()):
-            return _refused(why, 409)
-        trouble = await actions.enter(line.host, line.agent, line.text)
-        return _refused(trouble, 409) if trouble else _json(b"{}")
+        if reason := refusal("type", line.pressed, clock.monotonic()):
+            return _refused(reason, 409)
+        problem = await actions.enter(line.host, line.agent, line.text)
+        return _refused(problem, 409) if problem else _json(b"{}")
 
     @app.post("/query")
     async def query(request: Request) -> Response:
@@ -210,8 +212,8 @@ def _add_actions(app: FastAPI, actions: OperatorActions, clock: Clock) -> None:
 def _add_replay(app: FastAPI, replay: ReplayControl) -> None:
     @app.post("/replay")
     async def move(request: Request) -> Response:
-        if why := replay.request(await _body(request)):
-            return _refused(why)
+        if reason := replay.request(await _body(request)):
+            return _refused(reason)
         return _json(b"{}")
 
 
@@ -232,5 +234,5 @@ def _json(data: bytes) -> Response:
     return Response(data, media_type="application/json", headers={"Cache-Control": "no-store"})
 
 
-def _refused(why: str, status: int = 400) -> Response:
-    return Response(why, status_code=status, media_type="text/plain")
+def _refused(reason: str, status: int = 400) -> Response:
+    return Response(reason, status_code=status, media_type="text/plain")

@@ -63,8 +63,8 @@ class PageSessions:
 
     def refusal(self, request: PageRequest) -> str:
         """The reason why a request is refused, '' when it is accepted."""
-        if wrong := self.address_refusal(request):
-            return wrong
+        if problem := self.address_refusal(request):
+            return problem
         if self._sessions.keys().isdisjoint(request.sessions):
             return NO_SESSION
         # Browsers send Origin with each request that is an action, and with each WebSocket.

@@ -86,7 +86,7 @@ async def _opened(
     names: tuple[str, ...], port: int, tls: ssl.SSLContext | None, note: Callable[[str], None]
 ) -> PageSite:
     callers = AcceptLimiter(tls, random.SystemRandom())
-    listener = PortListener(join_address(names[0], port), callers.serve, note, _why)
+    listener = PortListener(join_address(names[0], port), callers.serve, note, _bind_error_reason)
     await listener.open()
     real = split_address(listener.address)[1]
     return PageSite(real, names, "http" if tls is None else "https", callers, listener)
@@ -109,7 +109,7 @@ async def _check(name: str) -> None:
         )
 
 
-def _why(error: OSError | UnicodeError) -> str:
+def _bind_error_reason(error: OSError | UnicodeError) -> str:
     return _NOT_HERE if getattr(error, "errno", None) == errno.EADDRNOTAVAIL else describe(error)
 
 

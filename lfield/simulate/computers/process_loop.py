@@ -41,10 +41,10 @@ _pin.argtypes = _unpin.argtypes = (ctypes.py_object,)
 _pin.restype = _unpin.restype = None
 
 
-def unsupported(deed: str) -> NoReturn:
+def unsupported(operation: str) -> NoReturn:
     """Refuses a call that would leave the simulation; audit hooks are notified first (PEP 578)."""
-    sys.audit("lfield.beyond", deed)
-    raise OSError(errno.ENETUNREACH, f"it tried to {deed}, which a simulation does not support")
+    sys.audit("lfield.beyond", operation)
+    raise OSError(errno.ENETUNREACH, f"it tried to {operation}, which a simulation does not support")
 
 
 #: New objects until a collection, and collections of each generation until one of the next.
@@ -126,7 +126,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._wake_time = math.inf
         self._rounds = 0
         #: Computing time that has not been waited for.
-        self._owed = 0.0
+        self._charged_seconds = 0.0
         #: The seconds for which the process is held from now on, and whether it is held.
         self._hold: float | None = None
         self._held = False
@@ -174,10 +174,10 @@ class ProcessLoop(asyncio.BaseEventLoop):
 
     def compute(self, seconds: float) -> None:
         """Adds the duration of the present work; meanwhile the process handles no event."""
-        self._owed += seconds
-        if self._owed >= TIMER_GRAIN:
-            self.hold(self._owed)
-            self._owed = 0.0
+        self._charged_seconds += seconds
+        if self._charged_seconds >= TIMER_GRAIN:
+            self.hold(self._charged_seconds)
+            self._charged_seconds = 0.0
 
     def hold(self, seconds: float = 0.0) -> None:
         """After the present work, the process handles no event for so many seconds."""

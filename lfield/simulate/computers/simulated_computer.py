@@ -115,28 +115,28 @@ class _Loop(ProcessLoop):
         self._process, self._computer = process, process.computer
 
     async def create_server(  # type: ignore[override]
-        self, made: Callable[[], asyncio.Protocol], host: str, port: int, **_: Any
+        self, make_protocol: Callable[[], asyncio.Protocol], host: str, port: int, **_: Any
     ) -> ListeningPort:
         """See asyncio; on the simulated network."""
-        return self._computer.network.listen(self, host, port, made)
+        return self._computer.network.listen(self, host, port, make_protocol)
 
     async def create_connection(  # type: ignore[override]
-        self, made: Callable[[], asyncio.Protocol], host: str = "", port: int = 0, **_: Any
+        self, make_protocol: Callable[[], asyncio.Protocol], host: str = "", port: int = 0, **_: Any
     ) -> tuple[asyncio.Transport, asyncio.Protocol]:
         """See asyncio; on the simulated network."""
         if not host:
             unsupported("use a socket")
-        return await self._computer.network.connect(self, made, host, port)
+        return await self._computer.network.connect(self, make_protocol, host, port)
 
     async def subprocess_exec(  # type: ignore[override]
-        self, made: Callable[[], asyncio.SubprocessProtocol], *command: str, **_: Any
+        self, make_protocol: Callable[[], asyncio.SubprocessProtocol], *command: str, **_: Any
     ) -> tuple[asyncio.SubprocessTransport, asyncio.SubprocessProtocol]:
         """See asyncio; `python -m MODULE` is one of the computer's programs."""
         module, *arguments = command[command.index("-m") + 1 :] if "-m" in command else [""]
         program = self._computer.programs.get(module)
         if program is None:
             unsupported(f"start {' '.join(map(str, command))}")
-        protocol, child = made(), self._computer.start()
+        protocol, child = make_protocol(), self._computer.start()
         self._process.children.append(child)
         transport = ChildProcess(self, child, protocol)
         protocol.connection_made(transport)
@@ -167,8 +167,8 @@ class _Loop(ProcessLoop):
         common = self._computer.network.common
         if name not in common:
             common[name] = make()
-        made: T = common[name]
-        return made
+        value: T = common[name]
+        return value
 
     async def serve(self, fake: ServedFake) -> None:
         """Runs as a simulated device until the process ends."""
@@ -190,6 +190,6 @@ _UNSUPPORTED = {
         "sock_recvfrom", "sock_sendall", "sock_sendfile", "sock_sendto", "sendfile", "start_tls",
     ],
 }  # fmt: skip
-for deed, names in _UNSUPPORTED.items():
+for operation, names in _UNSUPPORTED.items():
     for name in names:
-        setattr(_Loop, name, lambda *_, deed=deed, **__: unsupported(deed))
+        setattr(_Loop, name, lambda *_, operation=operation, **__: unsupported(operation))

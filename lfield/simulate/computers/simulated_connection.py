@@ -65,11 +65,18 @@ class SimulatedConnection:
     """A connection with its two ends."""
 
     def __init__(
-        self, ways: NetworkPaths, caller: ProcessLoop, called: ProcessLoop, addresses: tuple[Address, Address]
+        self,
+        paths: NetworkPaths,
+        caller: ProcessLoop,
+        called: ProcessLoop,
+        addresses: tuple[Address, Address],
     ) -> None:
-        near, far = ConnectionEnd(ways, caller, addresses[1]), ConnectionEnd(ways, called, addresses[0])
-        near.other, far.other = far, near
-        self.ends = (near, far)
+        caller_end, called_end = (
+            ConnectionEnd(paths, caller, addresses[1]),
+            ConnectionEnd(paths, called, addresses[0]),
+        )
+        caller_end.other, called_end.other = called_end, caller_end
+        self.ends = (caller_end, called_end)
 
     @property
     def is_over(self) -> bool:
@@ -82,10 +89,10 @@ class ConnectionEnd(asyncio.Transport):
 
     other: ConnectionEnd
 
-    def __init__(self, ways: NetworkPaths, loop: ProcessLoop, peer: Address) -> None:
+    def __init__(self, paths: NetworkPaths, loop: ProcessLoop, peer: Address) -> None:
         super().__init__()
         self.loop, self.machine, self.is_over = loop, loop.machine, False
-        self._ways, self._peer, self._timeline = ways, peer, loop.machine.timeline
+        self._paths, self._peer, self._timeline = paths, peer, loop.machine.timeline
         self._protocol: asyncio.Protocol | None = None
         self._closing = False
         self._high = 1 << 30
@@ -99,12 +106,12 @@ class ConnectionEnd(asyncio.Transport):
         self._unread: list[Callable[[], None]] | None = None
 
     @property
-    def way(self) -> NetworkPath:
+    def path(self) -> NetworkPath:
         return self.machine.name, self.other.machine.name
 
-    def start(self, made: Callable[[], asyncio.Protocol]) -> None:
+    def start(self, make_protocol: Callable[[], asyncio.Protocol]) -> None:
         """Notifies the protocol of the connection. Runs inside the process."""
-        self._protocol = made()
+        self._protocol = make_protocol()
         self._protocol.connection_made(self)
         early, self._early = self._early, []
         for event in early:
@@ -166,14 +173,14 @@ class ConnectionEnd(asyncio.Transport):
 
     # --- delivery -------------------------------------------------------------------------------------
 
-    def _send(self, what: bytes | Exception | None) -> None:
-        if isinstance(what, bytes):
-            self._pending += len(what)
-        self._waiting.append(what)
+    def _send(self, item: bytes | Exception | None) -> None:
+        if isinstance(item, bytes):
+            self._pending += len(item)
+        self._waiting.append(item)
         self._plan()
 
     def _plan(self) -> None:
-        self._due = max(self._due, self._timeline.now + self._ways.delay(self.way))
+        self._due = max(self._due, self._timeline.now + self._paths.delay(self.path))
         self._timeline.at(self._due, self._next)
 
     def push(self) -> None:
@@ -182,27 +189,27 @@ class ConnectionEnd(asyncio.Transport):
             self._plan()
 
     def _next(self) -> None:
-        if not self._waiting or self.way in self._ways.silent:
+        if not self._waiting or self.path in self._paths.silent:
             return
-        what = self._waiting.popleft()
-        if isinstance(what, bytes):
-            self._pending -= len(what)
+        item = self._waiting.popleft()
+        if isinstance(item, bytes):
+            self._pending -= len(item)
             if self._is_full and self._pending <= SEND_BUFFER and self._protocol is not None:
                 self._is_full = False
                 self.loop.call_soon(self._protocol.resume_writing)
         other = self.other
         if other.is_over or other._closing:
-            if isinstance(what, bytes):
+            if isinstance(item, bytes):
                 # The other computer does not know the connection any more, and resets it if it is on.
                 other.refuse()
-        elif isinstance(what, bytes):
-            other.arrive(partial(other._received, what))
+        elif isinstance(item, bytes):
+            other.arrive(partial(other._received, item))
         else:
-            other.arrive(partial(other._close, what))
+            other.arrive(partial(other._close, item))
 
     def refuse(self) -> None:
         """Answers a later sender by a reset after the loss of this end, if that path works."""
-        if self.machine.on and self.way not in self._ways.silent:
+        if self.machine.on and self.path not in self._paths.silent:
             error = reset()
             self.other.arrive(partial(self.other._close, error))
 

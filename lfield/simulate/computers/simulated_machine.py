@@ -107,12 +107,12 @@ class NetworkPaths:
         self.cabled: set[str] = set()
         self.slow: dict[NetworkPath, tuple[float, float]] = {}
 
-    def delay(self, way: NetworkPath) -> float:
+    def delay(self, path: NetworkPath) -> float:
         """The delay of a path in seconds; almost none within a machine or on a cable."""
-        if way[0] == way[1] or not self.cabled.isdisjoint(way):
+        if path[0] == path[1] or not self.cabled.isdisjoint(path):
             return 0.0001
-        return self._rng.uniform(*self.slow.get(way, LATENCY))
+        return self._rng.uniform(*self.slow.get(path, LATENCY))
 
-    def silences(self, one: str, other: str) -> bool:
+    def silences(self, host: str, other: str) -> bool:
         """Whether either direction is silent."""
-        return (one, other) in self.silent or (other, one) in self.silent
+        return (host, other) in self.silent or (other, host) in self.silent

@@ -33,7 +33,7 @@ class SimulatedNetwork:
         self, timeline: EventQueue, machines: Mapping[str, SimulatedMachine], rng: random.Random
     ) -> None:
         self._timeline, self._machines = timeline, dict(machines)
-        self.ways = NetworkPaths(rng)
+        self.paths = NetworkPaths(rng)
         self._listening: dict[Address, ListeningPort] = {}
         self._connections: list[SimulatedConnection] = []
         self._free_port = 40_000
@@ -51,37 +51,37 @@ class SimulatedNetwork:
     def plug_in(self, machine: SimulatedMachine) -> None:
         """Connects a machine by a cable: no path between others leads through it."""
         self.join(machine)
-        self.ways.cabled.add(machine.name)
+        self.paths.cabled.add(machine.name)
 
     # --- faults ---------------------------------------------------------------------------------------
 
-    def silence(self, near: str, far: str) -> None:
+    def silence(self, sender: str, receiver: str) -> None:
         """Silences a path."""
-        self.ways.silent.add((near, far))
+        self.paths.silent.add((sender, receiver))
 
-    def heal(self, near: str, far: str) -> None:
+    def heal(self, sender: str, receiver: str) -> None:
         """Restores a path, and delivers pending data."""
-        self.ways.silent.discard((near, far))
+        self.paths.silent.discard((sender, receiver))
         for end in self._ends():
-            if end.way == (near, far):
+            if end.path == (sender, receiver):
                 end.push()
 
     def heal_all(self) -> None:
         """Restores all paths, with default latency."""
-        self.ways.slow.clear()
-        for way in sorted(self.ways.silent):
-            self.heal(*way)
+        self.paths.slow.clear()
+        for path in sorted(self.paths.silent):
+            self.heal(*path)
 
-    def reset(self, one: str, other: str) -> None:
+    def reset(self, host: str, other: str) -> None:
         """Breaks every connection of two machines at once, with pending data."""
         for end in self._ends():
-            if set(end.way) == {one, other}:
+            if set(end.path) == {host, other}:
                 end.lose(reset())
 
-    def half_open(self, gone: str, left: str) -> None:
+    def half_open(self, lost_host: str, remaining_host: str) -> None:
         """Breaks one end of every connection of two machines without notifying the other."""
         for end in self._ends():
-            if end.way == (gone, left):
+            if end.path == (lost_host, remaining_host):
                 end.lose(reset())
 
     def process_died(self, loop: ProcessLoop, *, silently: bool) -> None:
@@ -100,7 +100,7 @@ class SimulatedNetwork:
     # --- for processes --------------------------------------------------------------------------------
 
     def listen(
-        self, loop: ProcessLoop, host: str, port: int, made: Callable[[], asyncio.Protocol]
+        self, loop: ProcessLoop, host: str, port: int, make_protocol: Callable[[], asyncio.Protocol]
     ) -> ListeningPort:
         """Listens at an address; loopback is the machine itself. Raises OSError when it is in use."""
         host = loop.machine.name if host == LOOPBACK else host
@@ -109,7 +109,7 @@ class SimulatedNetwork:
             port = self._free_port
         if (host, port) in self._listening:
             raise OSError(errno.EADDRINUSE, "Address already in use")
-        listening = self._listening[host, port] = ListeningPort(self, loop, (host, port), made)
+        listening = self._listening[host, port] = ListeningPort(self, loop, (host, port), make_protocol)
         return listening
 
     def remove_listener(self, address: Address) -> None:
@@ -117,31 +117,33 @@ class SimulatedNetwork:
         self._listening.pop(address, None)
 
     async def connect(
-        self, loop: ProcessLoop, made: Callable[[], asyncio.Protocol], host: str, port: int
+        self, loop: ProcessLoop, make_protocol: Callable[[], asyncio.Protocol], host: str, port: int
     ) -> tuple[asyncio.Transport, asyncio.Protocol]:
         """Connects to a listener; waits for ever without an answer. Raises ConnectionRefusedError."""
-        here, there = loop.machine, self._machines.get(host)
-        if there is None:
+        caller, called = loop.machine, self._machines.get(host)
+        if called is None:
             unsupported(f"connect to {host}:{port}")
-        await asyncio.sleep(self.ways.delay((here.name, there.name)))
-        while self.ways.silences(here.name, there.name) or not there.on:
+        await asyncio.sleep(self.paths.delay((caller.name, called.name)))
+        while self.paths.silences(caller.name, called.name) or not called.on:
             await asyncio.sleep(RETRY_DELAY)
         listening = self._listening.get((host, port))
         if listening is None:
             raise ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused")
         self._free_port += 1
         connection = SimulatedConnection(
-            self.ways, loop, listening.loop, ((here.name, self._free_port), (host, port))
+            self.paths, loop, listening.loop, ((caller.name, self._free_port), (host, port))
         )
         self._connections.append(connection)
-        near, far = connection.ends
-        self._timeline.after(0.0, partial(far.arrive, partial(far.start, listening.made)))
-        await asyncio.sleep(self.ways.delay((there.name, here.name)))
-        if near.is_over:
+        caller_end, called_end = connection.ends
+        self._timeline.after(
+            0.0, partial(called_end.arrive, partial(called_end.start, listening.make_protocol))
+        )
+        await asyncio.sleep(self.paths.delay((called.name, caller.name)))
+        if caller_end.is_over:
             raise ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused")
-        protocol = made()
-        near.start(lambda: protocol)
-        return near, protocol
+        protocol = make_protocol()
+        caller_end.start(lambda: protocol)
+        return caller_end, protocol
 
 
 class ListeningPort:
@@ -152,9 +154,9 @@ class ListeningPort:
         network: SimulatedNetwork,
         loop: ProcessLoop,
         address: Address,
-        made: Callable[[], asyncio.Protocol],
+        make_protocol: Callable[[], asyncio.Protocol],
     ) -> None:
-        self._network, self.loop, self._address, self.made = network, loop, address, made
+        self._network, self.loop, self._address, self.make_protocol = network, loop, address, make_protocol
         self.sockets = [SimulatedSocket(address)]
 
     def close(self) -> None:

@@ -20,40 +20,40 @@ class SimulatedSerialPort:
     """A port with its far end, from plugging in to unplugging."""
 
     def __init__(
-        self, loop: ProcessLoop, received: Callable[[bytes, int], None], gone: Callable[[], None]
+        self, loop: ProcessLoop, on_data: Callable[[bytes, int], None], on_close: Callable[[], None]
     ) -> None:
-        self._far, self._received, self._gone = loop, received, gone
-        self._near: _Near | None = None
+        self._device_loop, self._on_data, self._on_close = loop, on_data, on_close
+        self._open_end: _OpenEnd | None = None
         self._speed = 0
         self._due = 0.0
 
-    def open(self, loop: ProcessLoop, baud: int, user: SerialUser) -> _Near:
+    def open(self, loop: ProcessLoop, baud: int, user: SerialUser) -> _OpenEnd:
         """Opens the port. Raises OSError when another process has it open."""
-        if self._near is not None and not self._near.loop.dead:
+        if self._open_end is not None and not self._open_end.loop.dead:
             raise OSError(errno.EBUSY, "Device or resource busy")
-        self._speed, self._near = baud, _Near(self, loop, user)
-        return self._near
+        self._speed, self._open_end = baud, _OpenEnd(self, loop, user)
+        return self._open_end
 
-    def release(self, near: _Near) -> None:
+    def release(self, end: _OpenEnd) -> None:
         """Closes the near end of the port."""
-        if self._near is near:
-            self._near = None
+        if self._open_end is end:
+            self._open_end = None
 
     def to_far(self, data: bytes) -> None:
         """Delivers bytes of the driver."""
-        self._later(self._far, len(data), partial(self._received, data, self._speed))
+        self._later(self._device_loop, len(data), partial(self._on_data, data, self._speed))
 
     def write(self, data: bytes) -> None:
         """Delivers bytes of the simulated device; lost without a reader."""
-        if (near := self._near) is not None:
-            self._later(near.loop, len(data), partial(near.received, data))
+        if (end := self._open_end) is not None:
+            self._later(end.loop, len(data), partial(end.received, data))
 
     def close(self) -> None:
         """Unplugs the port."""
-        near, self._near = self._near, None
-        self._gone()
-        if near is not None:
-            near.loop.soon(near.unplugged)
+        end, self._open_end = self._open_end, None
+        self._on_close()
+        if end is not None:
+            end.loop.soon(end.unplugged)
 
     def _later(self, loop: ProcessLoop, count: int, event: Callable[[], None]) -> None:
         timeline = loop.machine.timeline
@@ -62,7 +62,7 @@ class SimulatedSerialPort:
         timeline.at(self._due, partial(loop.enter, event))
 
 
-class _Near:
+class _OpenEnd:
     """The end of a driver."""
 
     def __init__(self, port: SimulatedSerialPort, loop: ProcessLoop, user: SerialUser) -> None:

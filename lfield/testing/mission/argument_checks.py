@@ -72,9 +72,9 @@ def doubles(given: object) -> Mapping[str, object]:
     return found
 
 
-def _mapping(value: object, name: str, shown: str) -> Mapping[str, object]:
+def _mapping(value: object, name: str, example: str) -> Mapping[str, object]:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise MissionTestError(f"{name}={value!r}: give a dict, as in {name}={shown}")
+        raise MissionTestError(f"{name}={value!r}: give a dict, as in {name}={example}")
     return value
 
 

@@ -85,12 +85,12 @@ class IoGuard:
         finally:
             self.is_running = False
 
-    def refuse(self, what: str) -> None:
+    def refuse(self, operation: str) -> None:
         """Raises RealEndpoint, unless the caller is exempt."""
         thread = threading.get_native_id()
         if thread in self._outside:
             return
-        error = RealEndpoint(f"it tried to {what}")
+        error = RealEndpoint(f"it tried to {operation}")
         if self.is_running or thread != self._test:
             self.caught.append(error)
         raise error
@@ -111,9 +111,9 @@ def io_guarded() -> Iterator[list[RealEndpoint]]:
 _STANDING: list[IoGuard] = []
 
 
-def _refuse(what: str) -> None:
+def _refuse(operation: str) -> None:
     running = (fence for fence in _STANDING if fence.is_running)
-    next(running, _STANDING[-1]).refuse(what)
+    next(running, _STANDING[-1]).refuse(operation)
 
 
 # -- audit events --------------------------------------------------------------------------------------
@@ -145,13 +145,13 @@ def _is_device_path(path: str | bytes | os.PathLike[str]) -> bool:
     return is_device or kind == stat.S_IFIFO
 
 
-def _is_pair(one: socket.socket) -> bool:
+def _is_pair(end: socket.socket) -> bool:
     """Whether a socket is one of a pair within this process, as used to wake loops: neither end has a name.
 
     The accepted end of a connection has one.
     """
     with suppress(OSError):
-        return one.family == socket.AF_UNIX and not one.getsockname() and not one.getpeername()
+        return end.family == socket.AF_UNIX and not end.getsockname() and not end.getpeername()
     return False
 
 
@@ -205,8 +205,8 @@ def _put_back() -> None:
 def _refusing(function: Callable[..., Any], describe: Callable[..., str]) -> Callable[..., Any]:
     @wraps(function)
     def refusing(*arguments: Any, **named: Any) -> Any:
-        if what := describe(*arguments, **named):
-            _refuse(what)
+        if operation := describe(*arguments, **named):
+            _refuse(operation)
         return function(*arguments, **named)
 
     return refusing

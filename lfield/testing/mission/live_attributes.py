@@ -39,9 +39,9 @@ def check(mission: Mission, member: TeamMember, double: object) -> None:
 
 
 def attach(
-    mission: Mission, member: TeamMember, life: HostLife, double: object, trouble: list[BaseException]
+    mission: Mission, member: TeamMember, life: HostLife, double: object, failures: list[BaseException]
 ) -> None:
-    """Connects a double's attributes to one incarnation of its host; exceptions go to `trouble`."""
+    """Connects a double's attributes to one incarnation of its host; exceptions go to `failures`."""
     directory, clock = life.core.directory.directory, life.host.clock
 
     def replaced(condition: AgentCondition) -> AgentCondition:
@@ -58,7 +58,7 @@ def attach(
                 mission, member, provided() if callable(provided) else provided, clock.monotonic()
             )
         except Exception as error:  # the double belongs to the test: report there, not to the host
-            trouble.append(error)
+            failures.append(error)
             return {}
 
     directory.replace_own(member.id, replaced)
@@ -83,10 +83,13 @@ def _samples(mission: Mission, member: TeamMember, values: object, now: float) -
                 f"the double of {member.id} provides {name} = {value!r}, which is not a value of type "
                 f"{known[name]}"
             )
-    return {name: AttributeSample(value, now, now, of=_of(mission, name)) for name, value in values.items()}
+    return {
+        name: AttributeSample(value, now, now, of=_provenance(mission, name))
+        for name, value in values.items()
+    }
 
 
-def _of(mission: Mission, name: str) -> Provenance:
+def _provenance(mission: Mission, name: str) -> Provenance:
     """The provenance of an attribute: measured if it is live, else declared."""
     return "measured" if mission.registry is not None and mission.registry.attributes[name].live else "told"
 

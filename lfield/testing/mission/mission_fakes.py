@@ -88,7 +88,7 @@ class MissionFakes:
     def __init__(
         self, faults: Mapping[str, Sequence[str]], mark: Callable[[str, str], None] = lambda text, name: None
     ) -> None:
-        self._wrong, self._mark = faults, mark
+        self._faults_by_device, self._mark = faults, mark
         self._cabled: dict[BusKey, CabledFake] = {}
         #: The devices by the names of their bindings.
         self.devices: dict[str, FakeDevice] = {}
@@ -104,7 +104,7 @@ class MissionFakes:
         """
         buses = buses_of(mission)
         names = {device.name for bus in buses.values() for device in bus}
-        if unknown := sorted(self._wrong.keys() - names):
+        if unknown := sorted(self._faults_by_device.keys() - names):
             known = ", ".join(sorted(names)) or "none"
             raise MissionTestError(f"there is no simulated device '{unknown[0]}' here; there are: {known}")
         sims = sims_of({driver for _, driver, _ in buses})
@@ -121,7 +121,7 @@ class MissionFakes:
         return at_endpoints(mission, {d.name: served[bus].endpoint for bus in buses for d in buses[bus]})
 
     def _faults(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        faults = [_at(text, d.name) for d in devices for text in self._wrong.get(d.name, ())]
+        faults = [_at(text, d.name) for d in devices for text in self._faults_by_device.get(d.name, ())]
         return [argument for text in faults for argument in ("--fault", text)]
 
     def _name(self, devices: Sequence[DeviceBinding], process: SimulatedProcess, fake: ServedFake) -> None:

@@ -133,20 +133,20 @@ class MissionTeam:
             else:
                 self._fleet.run(argument_checks.seconds(seconds, "run(...)"))
 
-    def _wait(self, is_met: Callable[[], bool], at_most: float, why: str) -> None:
+    def _wait(self, is_met: Callable[[], bool], at_most: float, reason: str) -> None:
         started_at, end, over = self.now, self.now + at_most, False
         while not is_met():
             if self.now >= end:
                 duration = f"{self.now - started_at:.0f} s of the mission" + (
                     ", which has ended" if over else ""
                 )
-                raise Stuck(f"{why} after {duration}", self._stuck_lines())
+                raise Stuck(f"{reason} after {duration}", self._stuck_lines())
             self._fleet.run(POLL_INTERVAL)
             if self._awaited and not over and self._have_ended:
                 over, end = True, min(end, self.now + SETTLE_TIME)
             if ended_hosts := self._fleet.computers.keys() - self._fleet.lives.keys() - self._ended_hosts:
                 name = min(ended_hosts)
-                raise Stuck(f"{why}, and {name} has ended by itself", self._last_lines(name))
+                raise Stuck(f"{reason}, and {name} has ended by itself", self._last_lines(name))
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -201,8 +201,8 @@ class MissionTeam:
         if self._patience.has_expired:
             raise self._stuck_error()
         self._raise_caught()
-        for trouble in (*self._doubles.trouble, *self._fakes.trouble):
-            raise trouble
+        for failure in (*self._doubles.trouble, *self._fakes.trouble):
+            raise failure
         if fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_lines())
 
@@ -215,8 +215,8 @@ class MissionTeam:
         return stuck_report(self._fleet, self.ended, self.hops)
 
     def _last_lines(self, host: str = "") -> list[str]:
-        said = [line for line in self.log if host in ("", line.host)]
-        return [f"{line.host} logged: {line.text}" for line in said[-LAST_LINES:]]
+        lines = [line for line in self.log if host in ("", line.host)]
+        return [f"{line.host} logged: {line.text}" for line in lines[-LAST_LINES:]]
 
     # --- recorded data --------------------------------------------------------------------------------
 

@@ -83,7 +83,7 @@ class ResourceDoubles:
         if isinstance(value, Throws):
             end = partial(call.throw, value.kind, value.message)
         else:
-            end = partial(call.return_result, _made(machine, call, value).put)
+            end = partial(call.return_result, _encoded(machine, call, value).put)
         if wait is None:
             end()
         else:
@@ -162,7 +162,7 @@ def _answered(machine: Machine, double: object, call: StubCall) -> object:
         return thrown
 
 
-def _made(machine: Machine, call: StubCall, value: object) -> EncodedValue:
+def _encoded(machine: Machine, call: StubCall, value: object) -> EncodedValue:
     portal = machine.program.core.methods[call.method]
     try:
         return EncodedValue(machine.program, portal.result, value)

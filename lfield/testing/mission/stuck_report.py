@@ -59,8 +59,10 @@ def _missing(fleet: Fleet, member: TeamMember, outcome: str, hops: Sequence[Hop]
         )
     about = re.compile(rf"(^|.* and ){re.escape(member.id)} ")
     messages = [text.strip() for _, name, text in fleet.log if name == host and about.match(text)]
-    why = f"; {host} logged: {messages[-1]}" if messages else ""
-    return f"{member.id} is on no host: {'it was last on' if last else 'it has not started on'} {host}{why}"
+    log_text = f"; {host} logged: {messages[-1]}" if messages else ""
+    return (
+        f"{member.id} is on no host: {'it was last on' if last else 'it has not started on'} {host}{log_text}"
+    )
 
 
 def _has_left(fleet: Fleet, agent: Agent) -> bool:
@@ -71,8 +73,8 @@ def _has_left(fleet: Fleet, agent: Agent) -> bool:
 
 def _is_later(copy: Agent, agent: Agent) -> bool:
     """Whether a copy is of the same epoch after more hops."""
-    mine, other = agent.block.w, copy.block.w
-    return other[W_GENERATION] == mine[W_GENERATION] and other[W_HOPS] > mine[W_HOPS]
+    own, other = agent.block.w, copy.block.w
+    return other[W_GENERATION] == own[W_GENERATION] and other[W_HOPS] > own[W_HOPS]
 
 
 def _links(life: HostLife, hosts: Sequence[str]) -> list[str]:
@@ -120,14 +122,14 @@ def _waits(fleet: Fleet, life: HostLife, agent: Agent, state: int) -> str:
     called = core.machine.itinerary.current_target(agent) if agent.frozen or state == CALLING else None
     lives = fleet.lives.values()
     pending = [
-        call for one in lives for call in one.core.machine.pending_calls.calls() if call.agent == agent.id
+        call for each in lives for call in each.core.machine.pending_calls.calls() if call.agent == agent.id
     ]
     names = [f"{call.resource}.{call.portal}()" for call in pending if call.state == "running"]
     if called:
         first = f"{called[0].id}.{called[1]}()"
         others = [name for name in names if name != first]
-        what = f"for {first}" if called[1] else f"to reserve {called[0].id}"
-        text = f"{core.wait_reason(agent) or 'waits'} {what}"
+        target = f"for {first}" if called[1] else f"to reserve {called[0].id}"
+        text = f"{core.wait_reason(agent) or 'waits'} {target}"
         return f"{text}, beside {listed(others)}" if others else text
     running = listed(names) if names else ""
     if running and state == CALLING:

@@ -40,20 +40,21 @@ class StuckWatchdog:
     def __init__(self, seconds: float, now: Callable[[], float]) -> None:
         self._now, self._check_interval = now, min(CHECK_INTERVAL, seconds / 4)
         #: Limit of unchanged checks, their number, and the time.
-        self._most, self._same, self._progressed_at = round(seconds / self._check_interval), 0, now()
+        self._maximum_checks = round(seconds / self._check_interval)
+        self._unchanged_checks, self._progressed_at = 0, now()
         #: Whether the watchdog has expired, and the blocking code, as in `Depot.take (test_depot.py:12)`.
         self.has_expired, self.holder = False, ""
 
     def __enter__(self) -> StuckWatchdog:
         """Starts the watchdog."""
         self._caller, self._started_at = _foreign(inspect.currentframe(), None), time.monotonic()
-        self._left, self._interval = signal.getitimer(signal.ITIMER_REAL)
+        self._remaining, self._interval = signal.getitimer(signal.ITIMER_REAL)
         self._before = signal.getsignal(signal.SIGALRM)
         in_main = threading.current_thread() is threading.main_thread()
-        self._set = in_main and (callable(self._before) or not self._left)
+        self._set = in_main and (callable(self._before) or not self._remaining)
         if self._set:
             signal.signal(signal.SIGALRM, self._ring)
-            first = min(self._check_interval, self._left or self._check_interval)
+            first = min(self._check_interval, self._remaining or self._check_interval)
             signal.setitimer(signal.ITIMER_REAL, first, self._check_interval)
         return self
 
@@ -63,19 +64,19 @@ class StuckWatchdog:
             return
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, self._before)
-        if self._left:
-            rest = self._left - (time.monotonic() - self._started_at)
-            signal.setitimer(signal.ITIMER_REAL, max(rest, 1e-3), self._interval)
+        if self._remaining:
+            remaining = self._remaining - (time.monotonic() - self._started_at)
+            signal.setitimer(signal.ITIMER_REAL, max(remaining, 1e-3), self._interval)
 
     def _ring(self, number: int, frame: FrameType | None) -> None:
         """Checks the time; calls an existing alarm when that is due."""
-        if 0.0 < self._left <= time.monotonic() - self._started_at and callable(self._before):
-            self._left, self._started_at = self._interval, time.monotonic()
+        if 0.0 < self._remaining <= time.monotonic() - self._started_at and callable(self._before):
+            self._remaining, self._started_at = self._interval, time.monotonic()
             self._before(number, frame)
         now = self._now()
-        self._same = self._same + 1 if now == self._progressed_at else 0
+        self._unchanged_checks = self._unchanged_checks + 1 if now == self._progressed_at else 0
         self._progressed_at = now
-        if self._same >= self._most and not self.has_expired:
+        if self._unchanged_checks >= self._maximum_checks and not self.has_expired:
             self.has_expired, self.holder = True, _name(_foreign(frame, self._caller))
         if self.has_expired:
             raise StuckInterrupt

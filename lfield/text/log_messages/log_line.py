@@ -20,10 +20,10 @@ class LogLine(str):
         """The constructor is called by `LogMessage.line`, `report_line`, and readers of lines that a host has
         logged.
         """
-        made = super().__new__(cls, text)
-        made.code, made.level = code, level
-        made.template_values = template_values
-        return made
+        line = super().__new__(cls, text)
+        line.code, line.level = code, level
+        line.template_values = template_values
+        return line
 
     code: str
     level: Level
@@ -65,11 +65,11 @@ class LogMessage:
 
     def line(self, **values: object) -> LogLine:
         """The line with the values of its template and of its clauses."""
-        made = {
+        default_values = {
             name: clause.text(*(values[each] for each in clause.values))
             for name, clause in self.clauses.items()
         }
-        return LogLine(self.template.format(**values, **made), self.code, self.level, values)
+        return LogLine(self.template.format(**values, **default_values), self.code, self.level, values)
 
 
 class LogTable(dict[str, LogMessage]):

@@ -32,7 +32,7 @@ def given(network, request=None, desk=None, standing=None):
             network.addresses,
             request or emergency_stop("fire"),
             sender=desk or network.sender(),
-            standing=standing,
+            open_link=standing,
             on_answer=lambda host, answer: took.setdefault(host, network.now - began),
         )
 

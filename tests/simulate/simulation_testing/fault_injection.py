@@ -221,11 +221,11 @@ class FaultInjector:
         pressed = self.operator is not None and bool(self.operator.presses)
         near = "operator" if pressed and fault.size < SLOW_ORDERS else fault.one
         self._note(f"slow {near} > {fault.other}")
-        self.fleet.network.ways.slow[near, fault.other] = SLOW
+        self.fleet.network.paths.slow[near, fault.other] = SLOW
         self._after(fault.lasts, partial(self._quick, (near, fault.other)))
 
     def _quick(self, way: NetworkPath) -> None:
-        self.fleet.network.ways.slow.pop(way, None)
+        self.fleet.network.paths.slow.pop(way, None)
 
     # --- computers and processes ----------------------------------------------------------------------
 

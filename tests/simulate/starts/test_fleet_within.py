@@ -58,7 +58,7 @@ def slow(seconds: float) -> Event:
     def apply(fleet: Fleet) -> None:
         for one in fleet.machines:
             for other in fleet.machines:
-                fleet.network.ways.slow[one, other] = seconds, seconds
+                fleet.network.paths.slow[one, other] = seconds, seconds
 
     return apply
 

@@ -115,10 +115,10 @@ def test_a_late_order_does_not_end_a_stop_given_after_it(hold: Hold) -> None:
     operator.press(hold, 1.0)
     fleet.run(0.9)
     # The lift has its own link, and is in flight to h0 for some seconds.
-    fleet.network.ways.slow["operator", "h0"] = 2.0, 2.0
+    fleet.network.paths.slow["operator", "h0"] = 2.0, 2.0
     fleet.run(3.5)
     assert held() == [True, False, False]
-    del fleet.network.ways.slow["operator", "h0"]
+    del fleet.network.paths.slow["operator", "h0"]
     operator.press(hold, 30.0)
     fleet.run(0.3)
     assert held() == [True] * 3

@@ -62,20 +62,22 @@ class DapSession:
         self._breakpoints: dict[str, list[Breakpoint]] = {}
         self._filters: list[str] = []
         self._handlers: Mapping[str, Callable[[Row], Row | None]] = {
-            "initialize": lambda given: CAPABILITIES,
+            "initialize": lambda arguments: CAPABILITIES,
             "launch": self._launch,
             "attach": self._launch,
             "setBreakpoints": self._set_breakpoints,
             "setExceptionBreakpoints": self._set_filters,
-            "configurationDone": lambda given: None,
-            "threads": lambda given: self._threads(),
+            "configurationDone": lambda arguments: None,
+            "threads": lambda arguments: self._threads(),
             "stackTrace": self._stack_trace,
             "scopes": self._scopes,
-            "variables": lambda given: {"variables": self._known.rows(given.get("variablesReference"))},
+            "variables": lambda arguments: {
+                "variables": self._known.rows(arguments.get("variablesReference"))
+            },
             "evaluate": self._evaluate,
             "source": self._source,
-            "pause": lambda given: None,
-            "cancel": lambda given: None,
+            "pause": lambda arguments: None,
+            "cancel": lambda arguments: None,
             "search": self._check_search,
             "gotoTime": self._check_time,
             "disconnect": self._end,
@@ -96,17 +98,17 @@ class DapSession:
                 self._handle(message)
 
     def _handle(self, request: Message) -> None:
-        command, given = str(request.get("command")), request.get("arguments")
-        given = given if isinstance(given, dict) else {}
+        command, arguments = str(request.get("command")), request.get("arguments")
+        arguments = arguments if isinstance(arguments, dict) else {}
         try:
             if command in self._moves or command in ("continue", "reverseContinue"):
-                self._ready.choose(self._chosen(given))
+                self._ready.choose(self._chosen(arguments))
                 self._respond(request, {"allThreadsContinued": True})
             elif command in self._handlers:
-                self._respond(request, self._handlers[command](given))
+                self._respond(request, self._handlers[command](arguments))
             else:
                 raise UsageError(f"the request {command} is not supported")
-            self._after(command, given)
+            self._after(command, arguments)
         except SearchCancelled:
             self._stopped("pause", "the search was cancelled")
         except (LfieldError, ValueUnknown) as error:
@@ -117,23 +119,23 @@ class DapSession:
     def _respond(self, request: Message, body: Row | None) -> None:
         self._stream.write({**_reply(request), "success": True, "body": body or {}})
 
-    def _refuse(self, request: Message, why: str) -> None:
-        self._stream.write({**_reply(request), "success": False, "message": why})
+    def _refuse(self, request: Message, reason: str) -> None:
+        self._stream.write({**_reply(request), "success": False, "message": reason})
 
     def _event(self, name: str, body: Row | None = None) -> None:
         self._stream.write({"type": "event", "event": name, "body": body or {}})
 
     # --- moves ----------------------------------------------------------------------------------------
 
-    def _after(self, command: str, given: Row) -> None:
+    def _after(self, command: str, arguments: Row) -> None:
         """Handle the events and moves that follow a response. Raises SearchCancelled."""
         self._is_moving = True
         try:
-            self._follow(command, given)
+            self._follow(command, arguments)
         finally:
             self._is_moving = False
 
-    def _follow(self, command: str, given: Row) -> None:
+    def _follow(self, command: str, arguments: Row) -> None:
         if command in self._moves:
             found = self._moves[command](self._ready)
             self._stopped("step", "" if found else "there is no further statement")
@@ -145,14 +147,14 @@ class DapSession:
         elif command == "configurationDone":
             self._enter()
         elif command == "gotoTime":
-            self._ready.go_to_time(_seconds(given))
+            self._ready.go_to_time(_seconds(arguments))
             self._stopped("goto")
         elif command == "search":
-            found = self._ready.search(self._searched(given), backward=bool(given.get("backward")))
+            found = self._ready.search(self._searched(arguments), backward=bool(arguments.get("backward")))
             self._stopped("goto", "" if found else "nothing was found")
         elif command == "pause":
             self._stopped("pause")
-        elif command == "evaluate" and str(given.get("expression", "")).startswith(COMMAND):
+        elif command == "evaluate" and str(arguments.get("expression", "")).startswith(COMMAND):
             self._stopped("goto")
         elif command in ("disconnect", "terminate"):
             self._event("terminated")
@@ -175,24 +177,24 @@ class DapSession:
 
     def _filtered(self) -> list[Target]:
         debugger = self._ready
-        made: Mapping[str, Callable[[], Target]] = {
+        makers: Mapping[str, Callable[[], Target]] = {
             "portal": debugger.portal_target,
             "hop": debugger.hop_target,
             "device": debugger.device_target,
             "event": debugger.event_target,
         }
-        return [made[name]() for name in self._filters if name in made]
+        return [makers[name]() for name in self._filters if name in makers]
 
-    def _check_search(self, given: Row) -> None:
-        self._searched(given)
+    def _check_search(self, arguments: Row) -> None:
+        self._searched(arguments)
 
-    def _check_time(self, given: Row) -> None:
-        _seconds(given)
+    def _check_time(self, arguments: Row) -> None:
+        _seconds(arguments)
 
-    def _searched(self, given: Row) -> Target:
+    def _searched(self, arguments: Row) -> Target:
         """The target of the custom request `search`: `kind`, and `text` where it needs one."""
-        debugger, text = self._ready, str(given.get("text", ""))
-        match given.get("kind"):
+        debugger, text = self._ready, str(arguments.get("text", ""))
+        match arguments.get("kind"):
             case "portal":
                 return debugger.portal_target()
             case "device":
@@ -234,27 +236,27 @@ class DapSession:
             raise UsageError("nothing is being debugged: send 'launch' or 'attach' first")
         return self._values
 
-    def _launch(self, given: Row) -> None:
-        debugger, folder = self._open(given)
+    def _launch(self, arguments: Row) -> None:
+        debugger, folder = self._open(arguments)
         self._debugger, self._values = debugger, DapValues(debugger, folder)
         self._commands = DebuggerCommands(debugger)
         debugger.team.watch_progress(lambda seconds: self._check_cancelled())
-        self._stops_at_entry = given.get("stopOnEntry") is not False
+        self._stops_at_entry = arguments.get("stopOnEntry") is not False
 
     def _check_cancelled(self) -> None:
         if self._is_moving and self._requests.has_waiting(ENDING):
             raise SearchCancelled
 
-    def _set_breakpoints(self, given: Row) -> Row:
-        path = str(given.get("source", {}).get("path") or given.get("source", {}).get("name", ""))
+    def _set_breakpoints(self, arguments: Row) -> Row:
+        path = str(arguments.get("source", {}).get("path") or arguments.get("source", {}).get("name", ""))
         found: list[Breakpoint] = []
-        rows = [self._breakpoint(path, each, found) for each in given.get("breakpoints", [])]
+        rows = [self._breakpoint(path, each, found) for each in arguments.get("breakpoints", [])]
         self._breakpoints[path] = found
         self._ready.replace_breakpoints([each for group in self._breakpoints.values() for each in group])
         return {"breakpoints": rows}
 
-    def _breakpoint(self, path: str, given: Row, found: list[Breakpoint]) -> Row:
-        number, text = given.get("line"), given.get("condition")
+    def _breakpoint(self, path: str, arguments: Row, found: list[Breakpoint]) -> Row:
+        number, text = arguments.get("line"), arguments.get("condition")
         line = self._ready.team.table.next_line(path, number) if isinstance(number, int) else None
         if line is None:
             return {"verified": False, "message": "no statement from this line on"}
@@ -265,8 +267,8 @@ class DapSession:
         found.append(Breakpoint(path, line, condition))
         return {"verified": True, "line": line}
 
-    def _set_filters(self, given: Row) -> None:
-        self._filters = [str(each) for each in given.get("filters", [])]
+    def _set_filters(self, arguments: Row) -> None:
+        self._filters = [str(each) for each in arguments.get("filters", [])]
 
     def _threads(self) -> Row:
         number = self._known.thread_number
@@ -276,22 +278,25 @@ class DapSession:
         ]
         return {"threads": rows or [{"id": 1, "name": "no thread runs"}]}
 
-    def _chosen(self, given: Row) -> Any:
+    def _chosen(self, arguments: Row) -> Any:
         """The thread that a request names, or the one that is followed."""
-        return self._known.key_of(int(given.get("threadId", 0))) or self._ready.focus
+        return self._known.key_of(int(arguments.get("threadId", 0))) or self._ready.focus
 
-    def _stack_trace(self, given: Row) -> Row:
-        frames = self._ready.stack(self._chosen(given))
-        first, levels = int(given.get("startFrame") or 0), int(given.get("levels") or 0) or len(frames)
+    def _stack_trace(self, arguments: Row) -> Row:
+        frames = self._ready.stack(self._chosen(arguments))
+        first, levels = (
+            int(arguments.get("startFrame") or 0),
+            int(arguments.get("levels") or 0) or len(frames),
+        )
         rows = [self._known.frame_row(each) for each in frames[first : first + levels]]
         return {"stackFrames": rows, "totalFrames": len(frames)}
 
-    def _scopes(self, given: Row) -> Row:
-        frame = self._known.frame(given.get("frameId"))
+    def _scopes(self, arguments: Row) -> Row:
+        frame = self._known.frame(arguments.get("frameId"))
         return {"scopes": [] if frame is None else self._known.scope_rows(frame)}
 
-    def _evaluate(self, given: Row) -> Row:
-        text, frame = str(given.get("expression", "")), self._known.frame(given.get("frameId"))
+    def _evaluate(self, arguments: Row) -> Row:
+        text, frame = str(arguments.get("expression", "")), self._known.frame(arguments.get("frameId"))
         if text.startswith(COMMAND) and self._commands is not None:
             lines = self._commands.execute(text[len(COMMAND) :])
             return {"result": "\n".join(lines), "variablesReference": 0}
@@ -302,20 +307,20 @@ class DapSession:
         row = self._known.variable_row(frames[0], variable)
         return {"result": row["value"], "type": row["type"], "variablesReference": row["variablesReference"]}
 
-    def _source(self, given: Row) -> Row:
-        reference = given.get("sourceReference") or given.get("source", {}).get("sourceReference")
+    def _source(self, arguments: Row) -> Row:
+        reference = arguments.get("sourceReference") or arguments.get("source", {}).get("sourceReference")
         text = self._known.source_text(reference)
         if text is None:
             raise UsageError("this source is not in the bundle")
         return {"content": text}
 
-    def _end(self, given: Row) -> None:
+    def _end(self, arguments: Row) -> None:
         self._is_done = True
 
 
-def _seconds(given: Row) -> float:
+def _seconds(arguments: Row) -> float:
     """The time of `gotoTime`. Raises UsageError."""
-    found = given.get("seconds")
+    found = arguments.get("seconds")
     if isinstance(found, bool) or not isinstance(found, int | float) or math.isnan(found):
         raise UsageError("'seconds' must be a number")
     return float(found)

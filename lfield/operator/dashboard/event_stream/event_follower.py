@@ -38,7 +38,7 @@ class StreamHandler(Protocol):
         minute.
         """
 
-    def on_unlinked(self, host: str, why: str) -> None:
+    def on_unlinked(self, host: str, reason: str) -> None:
         """Called after every failed attempt: a host has no link."""
 
     def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
@@ -102,8 +102,8 @@ class EventFollower:
     async def _follow(self, host: str) -> None:
         cursor = self._cursors[host]
         while True:
-            why, is_unreached = await self._once(host, cursor)
-            self._handler.on_unlinked(host, why)
+            reason, is_unreached = await self._once(host, cursor)
+            self._handler.on_unlinked(host, reason)
             await asyncio.sleep(cursor.next_retry(unreached=is_unreached))
 
     async def _once(self, host: str, cursor: StreamCursor) -> tuple[str, bool]:
@@ -214,29 +214,29 @@ class EventLink(ObserverLink):
         if self._link is None:
             raise AddressError(self._host, "not connected")
         epoch = self._epochs.hold if message.kind in HOLDS else UNKNOWN_EPOCH
-        given = _SentOrder(replace(message, epoch=epoch), asyncio.get_running_loop().create_future())
-        self._orders[message.id] = given
+        sent = _SentOrder(replace(message, epoch=epoch), asyncio.get_running_loop().create_future())
+        self._orders[message.id] = sent
         try:
-            self._link.send(given.message)
-            return await given.answer
+            self._link.send(sent.message)
+            return await sent.answer
         finally:
             del self._orders[message.id]
 
     def _on_answer(self, link: Link, message: EmergencyStopResult | OrderChallenge) -> None:
         self._on_epochs(message.epochs)
-        given = self._orders.get(message.id)
-        if given is None or given.answer.done():
+        sent = self._orders.get(message.id)
+        if sent is None or sent.answer.done():
             return
         if isinstance(message, EmergencyStopResult):
-            given.answer.set_result(message)
-        elif again := answer_challenge(given.message, message):
-            given.message = again
-            link.send(again)
+            sent.answer.set_result(message)
+        elif answer := answer_challenge(sent.message, message):
+            sent.message = answer
+            link.send(answer)
 
     def _fail_orders(self, error: LfieldError) -> None:
-        for given in self._orders.values():
-            if not given.answer.done():
-                given.answer.set_exception(error)
+        for sent in self._orders.values():
+            if not sent.answer.done():
+                sent.answer.set_exception(error)
 
     def _watch(self, link: Link, incarnation: int) -> None:
         self._requested_at, self._due = self._last_contact, self._last_contact + REQUEST_INTERVAL
@@ -267,13 +267,13 @@ class EventLink(ObserverLink):
         self._timer = asyncio.get_running_loop().call_later(CHECK_INTERVAL, self._check_silence)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        why = str(error) if error is not None else "the host closed the link"
-        self._finish(why)
-        self._fail_orders(error if isinstance(error, HandshakeError) else AddressError(self._host, why))
+        reason = str(error) if error is not None else "the host closed the link"
+        self._finish(reason)
+        self._fail_orders(error if isinstance(error, HandshakeError) else AddressError(self._host, reason))
 
-    def _finish(self, why: str) -> None:
+    def _finish(self, reason: str) -> None:
         if not self.closed.done():
-            self.closed.set_result(why)
+            self.closed.set_result(reason)
 
     def end(self) -> None:
         """End a link that is no longer needed."""

@@ -63,7 +63,7 @@ class HostLocator:
             return self._find()
         return ()
 
-    def _choose(self, parties: Sequence[TargetTeam]) -> None:
+    def _choose(self, targets: Sequence[TargetTeam]) -> None:
         """Choose among several runs of the mission the one that was followed, or else the newest, which is
         the last.
 
@@ -71,9 +71,9 @@ class HostLocator:
         replace a trusted one.
         """
         followed = self._team
-        own = [p for p in parties if p.runs and p.user == followed.user]
+        own_targets = [p for p in targets if p.runs and p.user == followed.user]
         if followed.runs:
-            own = [party for party in own if party.mission == followed.mission]
-        if own:
-            same = [party for party in own if party.id == followed.id]
-            self._team = (same or own)[-1]
+            own_targets = [target for target in own_targets if target.mission == followed.mission]
+        if own_targets:
+            same_run = [target for target in own_targets if target.id == followed.id]
+            self._team = (same_run or own_targets)[-1]

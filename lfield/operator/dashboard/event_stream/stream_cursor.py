@@ -43,14 +43,14 @@ class StreamCursor:
         subscriber that starts with new events.
         """
         self._failures = 0
-        same = batch.incarnation == self.incarnation
-        known = self.number if same else batch.after
+        is_same_run = batch.incarnation == self.incarnation
+        known = self.number if is_same_run else batch.after
         states = {e.number for e in batch.events if not isinstance(e.what, TelemetryEvent)}
         fresh = [e for e in batch.events if isinstance(e.what, TelemetryEvent) or e.number > known]
         last = max((event.number for event in batch.events), default=0)
         self.incarnation, self.number = batch.incarnation, max(known, batch.after, last)
         lost = dict(batch.lost)
-        if same:
+        if is_same_run:
             lost.pop(STATE, None)
             if (missing := self.number - known - sum(number > known for number in states)) > 0:
                 lost[STATE] = missing

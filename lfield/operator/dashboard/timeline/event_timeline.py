@@ -75,14 +75,14 @@ class EventTimeline:
 
     def add(self, host: str, incarnation: int, event: Event, received: float = 0.0) -> None:
         """Add the next event of an incarnation."""
-        life = HostIncarnation(host, incarnation)
-        stream = self._streams.get(life)
+        host_run = HostIncarnation(host, incarnation)
+        stream = self._streams.get(host_run)
         if stream is None:
-            stream = self._streams[life] = deque()
+            stream = self._streams[host_run] = deque()
             if (before := self._newest.get(host)) is not None:
-                self._previous[life] = before
-                self._discard_if_over(before, life)
-            self._newest[host] = life
+                self._previous[host_run] = before
+                self._discard_if_over(before, host_run)
+            self._newest[host] = host_run
         stream.append(_Waiting(event, received))
         if (key := hop_of(event)) is not None:
             part = event.kind, key
@@ -108,33 +108,33 @@ class EventTimeline:
     def _next(self) -> DatedEvent:
         free: list[tuple[int, HostIncarnation]] = []
         held: list[tuple[int, HostIncarnation]] = []
-        for life, stream in self._streams.items():
+        for host_run, stream in self._streams.items():
             if stream:
                 event = stream[0].event
-                (held if self._must_wait(life, event) else free).append((event.stamp, life))
+                (held if self._must_wait(host_run, event) else free).append((event.stamp, host_run))
         # Damaged streams could have all events wait for one another.
-        life = min(free or held)[1]
-        event = self._streams[life].popleft().event
-        self._discard_if_over(life, self._newest[life.host])
-        cause = Cause(life.host, life.incarnation, event.cause) if event.cause else None
+        host_run = min(free or held)[1]
+        event = self._streams[host_run].popleft().event
+        self._discard_if_over(host_run, self._newest[host_run.host])
+        cause = Cause(host_run.host, host_run.incarnation, event.cause) if event.cause else None
         key, after = hop_of(event), _FOLLOWS.get(type(event.what))
         if key is not None:
             self._waiting.discard((event.kind, key))
             if after is not None:
                 cause = self._hops.get((after, key), cause)
-        return DatedEvent(life.host, life.incarnation, event, cause)
+        return DatedEvent(host_run.host, host_run.incarnation, event, cause)
 
-    def _must_wait(self, life: HostIncarnation, event: Event) -> bool:
-        if self._previous.get(life) in self._streams:
+    def _must_wait(self, host_run: HostIncarnation, event: Event) -> bool:
+        if self._previous.get(host_run) in self._streams:
             return True
         key, after = hop_of(event), _FOLLOWS.get(type(event.what))
         return after is not None and key is not None and (after, key) in self._waiting
 
-    def _discard_if_over(self, life: HostIncarnation, newest: HostIncarnation) -> None:
+    def _discard_if_over(self, host_run: HostIncarnation, newest: HostIncarnation) -> None:
         """Forget an incarnation that has ended when all its events were given out."""
-        if life != newest and not self._streams.get(life):
-            self._streams.pop(life, None)
-            self._previous.pop(life, None)
+        if host_run != newest and not self._streams.get(host_run):
+            self._streams.pop(host_run, None)
+            self._previous.pop(host_run, None)
 
 
 #: The event of the same hop that an event follows.

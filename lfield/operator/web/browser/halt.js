@@ -43,8 +43,8 @@ export default {
     },
     // An order that the server has received is shown by its result.
     waiting() {
-      const known = (press) => this.look?.orders.some((order) => order.number > press.after);
-      return Object.fromEntries(Object.entries(this.pending).filter(([, press]) => !known(press)));
+      const isReceived = (press) => this.look?.orders.some((order) => order.number > press.after);
+      return Object.fromEntries(Object.entries(this.pending).filter(([, press]) => !isReceived(press)));
     },
     missing() {
       return count(this.stop.unreached) + count(this.stop.unconfirmed) + this.stop.asked.length;
@@ -54,8 +54,8 @@ export default {
     },
     title() {
       if (this.look.complete) {
-        const rest = this.stop.confirmed.every((device) => this.doing(device) === "at rest");
-        return `Stopped: every device is safe${rest ? " and at rest" : ", not yet at rest"}`;
+        const isAtRest = this.stop.confirmed.every((device) => this.doing(device) === "at rest");
+        return `Stopped: every device is safe${isAtRest ? " and at rest" : ", not yet at rest"}`;
       }
       if (this.look.stands) {
         if (this.missing) return `Stopped: ${this.missing} not confirmed`;

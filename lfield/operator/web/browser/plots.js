@@ -73,9 +73,9 @@ export default {
         vehicles: names(curves.filter((curve) => curve.what !== "hops")),
         hops: names(curves.filter((curve) => curve.what === "hops")),
       };
-      for (const [what, kind] of Object.entries(KINDS)) {
-        const chart = (this.charts[what] ??= echarts.init(this.$refs[what][0]));
-        chart.setOption(options(kind, curves.filter((curve) => curve.what === what)), { notMerge: true });
+      for (const [quantity, kind] of Object.entries(KINDS)) {
+        const chart = (this.charts[quantity] ??= echarts.init(this.$refs[quantity][0]));
+        chart.setOption(options(kind, curves.filter((curve) => curve.what === quantity)), { notMerge: true });
       }
     },
     resized() {

@@ -151,17 +151,17 @@ export default {
     state() {
       if (!this.look) return "";
       const linked = this.look.hosts.filter((host) => host.linked).length;
-      const said = [`${linked} of ${this.look.hosts.length} hosts ${this.recorded ? "recorded at this time" : "linked"}`];
+      const parts = [`${linked} of ${this.look.hosts.length} hosts ${this.recorded ? "recorded at this time" : "linked"}`];
       const { hosts, unreached, asked } = this.look.stop;
       const missing = Object.keys(unreached);
-      if (hosts.length) said.push(hosts.length === linked && !asked.length ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
-      if (asked.length) said.push(`STOP: ${asked.join(", ")} not answered yet`);
-      if (missing.length) said.push(`STOP has NOT REACHED ${missing.join(", ")}`);
-      if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
+      if (hosts.length) parts.push(hosts.length === linked && !asked.length ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
+      if (asked.length) parts.push(`STOP: ${asked.join(", ")} not answered yet`);
+      if (missing.length) parts.push(`STOP has NOT REACHED ${missing.join(", ")}`);
+      if (this.look.paused.length) parts.push(`paused at ${this.look.paused.join(", ")}`);
       const voting = this.look.hosts.filter((host) => host.held).map((host) => host.host);
-      if (voting.length) said.push(`held by a vote at ${voting.join(", ")}`);
-      if (this.stale) said.push(`updated ${words.age((this.now - this.taken) / 1000)} ago`);
-      return said.join(" · ");
+      if (voting.length) parts.push(`held by a vote at ${voting.join(", ")}`);
+      if (this.stale) parts.push(`updated ${words.age((this.now - this.taken) / 1000)} ago`);
+      return parts.join(" · ");
     },
     // The stacks of the coordinators in a recording.
     programs() {
@@ -235,8 +235,8 @@ export default {
     extend({ is_whole, tracks }) {
       if (is_whole) this.tracks = [];
       for (const { agent, points } of tracks) {
-        const known = this.tracks.find((track) => track.agent === agent);
-        if (known) known.points = geometry.thinned([...known.points, ...points], MOST_POINTS);
+        const track = this.tracks.find((each) => each.agent === agent);
+        if (track) track.points = geometry.thinned([...track.points, ...points], MOST_POINTS);
         else this.tracks.push({ agent, points });
       }
     },

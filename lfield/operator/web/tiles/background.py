@@ -36,14 +36,16 @@ class TileAddress:
             parts = urlsplit(address)
             _ = parts.port  # raises for a port above 65535, which browsers ignore
         except ValueError as error:
-            raise _wrong(address, str(error)) from None
+            raise _address_error(address, str(error)) from None
         if parts.scheme not in ("http", "https"):
-            raise _wrong(address, f"its scheme must be https or http, {_EXAMPLE}")
+            raise _address_error(address, f"its scheme must be https or http, {_EXAMPLE}")
         if not _HOST.fullmatch(parts.netloc):
-            raise _wrong(address, "it needs a host name, without user and password")
+            raise _address_error(address, "it needs a host name, without user and password")
         fields = _FIELDS.findall(address)
         if sorted(fields) not in (["x", "y", "z"], ["-y", "x", "z"]) or _FIELDS.search(parts.netloc):
-            raise _wrong(address, f"it needs {{z}}, {{x}} and {{y}} once each after the host, {_EXAMPLE}")
+            raise _address_error(
+                address, f"it needs {{z}}, {{x}} and {{y}} once each after the host, {_EXAMPLE}"
+            )
         self.address, self.origin = address, f"{parts.scheme}://{parts.netloc}"
         self.min_zoom, self.max_zoom = 0, SERVED_ZOOM
         self.credit = f"map: {parts.netloc}"
@@ -55,8 +57,8 @@ class TileAddress:
         """Has no effect: no file is open."""
 
 
-def _wrong(address: str, why: str) -> UsageError:
-    return UsageError(f"--tiles {address[:200]}: {why}")
+def _address_error(address: str, reason: str) -> UsageError:
+    return UsageError(f"--tiles {address[:200]}: {reason}")
 
 
 class PageBackground(NamedTuple):
@@ -75,6 +77,6 @@ def open_background(name: str) -> MapBackground:
         return TileAddress(name)
     path = Path(name)
     if not path.is_file():
-        why = "not a file" if path.exists() else "there is no such file"
-        raise InputFileError(name, f"{why}; expected an MBTiles or PMTiles file, or an https address")
+        problem = "not a file" if path.exists() else "there is no such file"
+        raise InputFileError(name, f"{problem}; expected an MBTiles or PMTiles file, or an https address")
     return PmtilesSource(path) if is_pmtiles(path) else MbtilesSource(path)

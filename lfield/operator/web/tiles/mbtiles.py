@@ -28,7 +28,7 @@ class MbtilesSource:
         try:
             self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
         except sqlite3.Error as error:
-            raise _none(path, str(error)) from None
+            raise _tile_file_error(path, str(error)) from None
         try:
             self._check()
         except BaseException:
@@ -44,12 +44,12 @@ class MbtilesSource:
             others = self._database.execute("select zoom_level from tiles limit 1").fetchone()
             self.credit = self._metadata("attribution")
         except sqlite3.Error as error:
-            raise _none(path, str(error)) from None
+            raise _tile_file_error(path, str(error)) from None
         if sample is None:
             zoomed = f", only of zoom {others[0]!r}" if others is not None else ""
-            raise _none(path, f"it has no tiles of zoom 0 to {MAX_ZOOM}{zoomed}")
+            raise _tile_file_error(path, f"it has no tiles of zoom 0 to {MAX_ZOOM}{zoomed}")
         if tile_of(sample[0]) is None:
-            raise _none(
+            raise _tile_file_error(
                 path, "its tiles are not pictures (PNG, JPEG or WebP); vector tiles are not supported"
             )
         self.min_zoom, self.max_zoom = zooms
@@ -79,5 +79,7 @@ class MbtilesSource:
         return str(found[0]) if found else ""
 
 
-def _none(path: Path, why: str) -> InputFileError:
-    return InputFileError(str(path), f"neither a PMTiles nor an MBTiles file with pictures for a map: {why}")
+def _tile_file_error(path: Path, reason: str) -> InputFileError:
+    return InputFileError(
+        str(path), f"neither a PMTiles nor an MBTiles file with pictures for a map: {reason}"
+    )

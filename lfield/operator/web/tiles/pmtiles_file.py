@@ -42,13 +42,15 @@ class PmtilesSource:
         try:
             header: Any = _read(self._reader.header)
             if header is None:
-                raise _none(path, "its header is damaged, or of another version than 3")
+                raise _tile_file_error(path, "its header is damaged, or of another version than 3")
             if header["tile_type"] not in (TileType.PNG, TileType.JPEG, TileType.WEBP):
-                raise _none(path, "its tiles are not PNG, JPEG or WebP; vector tiles are not supported")
+                raise _tile_file_error(
+                    path, "its tiles are not PNG, JPEG or WebP; vector tiles are not supported"
+                )
             self.min_zoom, self.max_zoom = header["min_zoom"], min(header["max_zoom"], MAX_ZOOM)
             metadata = _read(self._reader.metadata)
             if not 0 <= self.min_zoom <= self.max_zoom or not isinstance(metadata, dict):
-                raise _none(path, "its zooms or its metadata are damaged")
+                raise _tile_file_error(path, "its zooms or its metadata are damaged")
         except BaseException:
             self.close()
             raise
@@ -83,5 +85,5 @@ def _read(step: Callable[[], object]) -> object:
         return None
 
 
-def _none(path: Path, why: str) -> InputFileError:
-    return InputFileError(str(path), f"not a PMTiles file with pictures for a map: {why}")
+def _tile_file_error(path: Path, reason: str) -> InputFileError:
+    return InputFileError(str(path), f"not a PMTiles file with pictures for a map: {reason}")

@@ -89,7 +89,7 @@ def _groups(fleet: Fleet) -> dict[str, set[str]]:
 
 def _are_linked(fleet: Fleet, one: str, other: str) -> bool:
     ways, incarnation = (
-        fleet.network.ways,
+        fleet.network.paths,
         {name: fleet.lives[name].core.incarnation for name in (one, other)},
     )
     ends = all(

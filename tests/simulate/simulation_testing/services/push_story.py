@@ -276,7 +276,7 @@ class PushWeather:
                 self._fleet.network.reset(fault.one, other)
 
     def _slow(self, fault: PushFault) -> Callable[[], None]:
-        desk, slow = self._desk(fault), self._fleet.network.ways.slow
+        desk, slow = self._desk(fault), self._fleet.network.paths.slow
         ways = [(fault.one, fault.other), (desk.name, fault.one), (fault.one, desk.name)]
         slow |= dict.fromkeys(ways, SLOW_WAY)
 
