@@ -59,7 +59,7 @@ class Watcher:
         start = time.monotonic()
         with self._changed:
             holds = self._changed.wait_for(lambda: condition(self), bound)
-        assert holds, f"waited {bound:g} s for {event}; the vehicle is {self}; observed:\n{self.history(start)}"
+        assert holds, f"waited {bound:g} s for {event}; now {self}; observed:\n{self.history(start)}"
         return time.monotonic() - start
 
     def top_speed(self, since: float) -> float:
