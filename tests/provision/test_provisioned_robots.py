@@ -1,6 +1,7 @@
 """`lfield provision` on robots with a real sshd, real users and sudo.
 
-systemctl is a script that records its calls. Robots and desk have no route to other networks. Each robot has its own root in memory (robot_bench).
+systemctl is a script that records its calls. Robots and desk have no route to other networks. Each robot
+has its own root in memory (robot_bench).
 """
 
 from __future__ import annotations
