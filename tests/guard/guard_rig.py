@@ -26,12 +26,12 @@ MANIFEST = DeviceManifest(
 
 
 class Rig:
-    """A core with its clock; each step sends a heartbeat unless `beating` is false."""
+    """A core with its clock; `wait` sends a heartbeat in each step unless `beating` is false."""
 
     def __init__(self, *devices: str) -> None:
         self.clock = ManualClock()
-        made = [(d, MANIFEST, TTL, WITHIN) for d in devices or ("a",)]
-        self.core = GuardCore(made, self.clock, silence=SILENCE)
+        bindings = [(d, MANIFEST, TTL, WITHIN) for d in devices or ("a",)]
+        self.core = GuardCore(bindings, self.clock, silence=SILENCE)
         self.core.on_opened("")
         self.token = 0
 

@@ -46,7 +46,8 @@ class CancelRig:
     def cancel(self, token: int):
         return self.core.on_cancel(token, self.clock.monotonic())
 
-    def live(self, seconds: float):
+    def advance(self, seconds: float):
+        """Advance the clock; the host sends a heartbeat in each step."""
         effects = []
         for _ in range(round(seconds / 0.05)):
             self.clock.advance(0.05)
@@ -72,11 +73,11 @@ def test_cancel_executes_the_instruction_of_the_manifest():
     rig.call(1, "goTo")
     effects = rig.cancel(1)
     assert (interrupted(effects), executed(effects), answers(effects)) == ([1], ["hold"], [])
-    (end,) = [e.call for e in effects if isinstance(e, Execute)]
-    assert rig.core.mark_started(end) == ""
-    expected = answers(rig.core.on_finished(end.token, None))
-    assert expected == [Refused(1, CANCELLED, "goTo() was cancelled, and hold() is done")]
-    assert rig.live(10.0) == [], "nothing is latched or pending"
+    (hold,) = [e.call for e in effects if isinstance(e, Execute)]
+    assert rig.core.mark_started(hold) == ""
+    answer = answers(rig.core.on_finished(hold.token, None))
+    assert answer == [Refused(1, CANCELLED, "goTo() was cancelled, and hold() is done")]
+    assert rig.advance(10.0) == [], "nothing is latched or pending"
 
 
 def test_second_cancel_has_no_effect():
@@ -113,7 +114,7 @@ def test_cancelled_call_that_has_not_started_does_not_start():
 
 
 def test_cancel_of_an_unstarted_replacement_ends_the_motion():
-    """The device still executes the first motion, which has no caller any more."""
+    """The device still executes the first motion, and no caller waits for that motion any more."""
     rig = CancelRig()
     rig.call(1, "goTo")
     rig.call(2, "goTo", started=False)
@@ -151,12 +152,12 @@ def test_failed_cancel_instruction_makes_the_device_safe():
     rig.call(1, "goTo")
     rig.cancel(1)
     effects = rig.core.on_refused(-1, "DeviceTimeoutException", "no answer")
-    why = "goTo() was cancelled, and hold() failed: no answer"
-    assert answers(effects) == [Refused(1, CANCELLED, why)]
+    reason = "goTo() was cancelled, and hold() failed: no answer"
+    assert answers(effects) == [Refused(1, CANCELLED, reason)]
     assert [e.device for e in effects if isinstance(e, MakeSafe)] == ["a"]
     assert [
         e.message.reason for e in effects if isinstance(e, Notify) and isinstance(e.message, Latched)
-    ] == [why]
+    ] == [reason]
 
 
 def test_driver_crash_in_the_cancel_makes_the_device_safe():
@@ -164,8 +165,8 @@ def test_driver_crash_in_the_cancel_makes_the_device_safe():
     rig.call(1, "goTo")
     rig.cancel(1)
     effects = rig.core.on_crashed(-1, "the driver failed in hold(): KeyError()")
-    (expected,) = answers(effects)
-    assert (expected.token, expected.kind) == (1, CANCELLED)
+    (answer,) = answers(effects)
+    assert (answer.token, answer.kind) == (1, CANCELLED)
     assert [e.device for e in effects if isinstance(e, MakeSafe)] == ["a"]
 
 
@@ -173,9 +174,9 @@ def test_cancel_instruction_that_exceeds_its_time_is_a_failure():
     rig = CancelRig()
     rig.call(1, "goTo")
     rig.cancel(1)
-    assert rig.live(WITHIN - 0.1) == []
+    assert rig.advance(WITHIN - 0.1) == []
     assert rig.core.due() <= rig.clock.monotonic() + 0.11
-    effects = rig.live(0.2)
+    effects = rig.advance(0.2)
     assert interrupted(effects) == [-1]
     assert [e.device for e in effects if isinstance(e, MakeSafe)] == ["a"]
     assert "hold() is not done after 5 s" in answers(effects)[0].reason
@@ -224,7 +225,7 @@ def test_cancel_instruction_ends_a_setpoint_on_its_channel():
     rig.call(2, "goTo")
     rig.cancel(2)
     rig.core.on_finished(-2, None)
-    assert rig.live(5 * TTL) == []
+    assert rig.advance(5 * TTL) == []
 
 
 def test_cancel_does_not_affect_other_channels():

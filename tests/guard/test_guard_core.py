@@ -204,8 +204,11 @@ def test_stop_timeout_names_devices_not_safe_or_not_at_rest():
     effects = rig.wait(WITHIN - 0.1)
     assert exits(effects) == []
     effects = rig.wait(0.2)
-    left = {"b": "its safe state was not confirmed", "c": "it is in its safe state and not at rest: 4 m up"}
-    assert messages(effects, Stopped) == [Stopped(left)]
+    expected = {
+        "b": "its safe state was not confirmed",
+        "c": "it is in its safe state and not at rest: 4 m up",
+    }
+    assert messages(effects, Stopped) == [Stopped(expected)]
     assert exits(effects) == [1]
 
 
@@ -217,7 +220,7 @@ def test_immediate_stop_ends_at_once_and_names_the_devices():
     effects = rig.core.on_stop("now", at_once=True)
     assert messages(effects, Stopped) == [Stopped({"a": "it is in its safe state and not at rest: 4 m up"})]
     effects = Rig().core.on_stop("now", at_once=True)
-    assert made_safe(effects) == ["a"], "an immediate stop also makes everything safe"
+    assert made_safe(effects) == ["a"], "an immediate stop also makes every device safe"
     assert messages(effects, Stopped) == [Stopped({"a": "its safe state was not confirmed"})]
 
 
@@ -264,7 +267,9 @@ def test_latched_device_is_checked_until_release():
     )
     assert messages(rig.call("release"), Released)
     assert rest_checks(rig.wait(2.0)) == []
-    assert messages(rig.core.on_motion_report("a", "2 m up"), Moving) == [], "a late answer"
+    assert messages(rig.core.on_motion_report("a", "2 m up"), Moving) == [], (
+        "a report after the release is ignored"
+    )
 
 
 def test_device_that_moves_in_its_safe_state_is_commanded_again():
@@ -277,12 +282,12 @@ def test_device_that_moves_in_its_safe_state_is_commanded_again():
     assert made_safe(rig.core.on_motion_report("a", "4 m up")) == ["a"]
     rig.wait(10.0)
     assert made_safe(rig.core.on_motion_report("a", "4 m up")) == [], "the last command is still pending"
-    assert messages(rig.core.on_safe("a"), Latched) == [], "it was reported before"
+    assert messages(rig.core.on_safe("a"), Latched) == [], "the confirmation was reported before"
     assert made_safe(rig.core.on_motion_report("a", "4 m up")) == []
     rig.wait(REPEAT + 0.1)
     assert made_safe(rig.core.on_motion_report("a", "4 m up")) == ["a"]
     assert effects_of(rig.core.on_safe_failed("a", "no answer"), Notify) == []
-    assert made_safe(rig.wait(10.0)) == [], "it is checked first"
+    assert made_safe(rig.wait(10.0)) == [], "the device is checked for rest first"
     assert made_safe(rig.core.on_motion_report("a", "")) == []
     assert made_safe(rig.core.on_motion_report("a", "led out")) == ["a"]
 
@@ -312,9 +317,9 @@ def test_repeated_safe_state_commands_do_not_delay_the_mute():
             rig.core.on_safe("a")
         effects += rig.wait(1.0, beating=False)
     assert mutes(effects) == [True]
-    after = effects[next(n for n, e in enumerate(effects) if isinstance(e, Mute)) :]
+    after_mute = effects[next(n for n, e in enumerate(effects) if isinstance(e, Mute)) :]
     assert len(made_safe(effects)) > 10
-    assert made_safe(after) == [], "these commands would feed the device's watchdog"
+    assert made_safe(after_mute) == [], "further commands would feed the device's watchdog"
 
 
 def test_restarted_guard_makes_its_devices_safe():
@@ -405,8 +410,8 @@ def test_device_that_is_already_safe_can_be_locked():
     assert "stop!" in messages(rig.call("release"), Refused)[0].reason
 
 
-def test_sensor_is_neither_latched_nor_waited_for():
-    """A sensor has no motion to make safe: it is at rest at once, and needs no release."""
+def test_sensor_is_not_latched_and_does_not_delay_a_stop():
+    """A sensor does not move: it counts as at rest, and a stop or a failure needs no release."""
     clock = ManualClock()
     core = GuardCore([("eye", SENSOR, TTL, WITHIN)], clock, silence=SILENCE)
     (note,) = messages(core.on_opened("its guard died"), Note)
@@ -419,9 +424,9 @@ def test_sensor_is_neither_latched_nor_waited_for():
     assert messages(core.tick(), Latched) == []
     core.on_beat(clock.monotonic())
     assert effects_of(core.on_call(GuardCall(1, "eye", "ask", [], clock.monotonic(), 0.0)), Execute)
-    over = core.on_stop("the host is stopping")
-    assert messages(over, Stopped) == [Stopped({})]
-    assert exits(over) == [0]
+    effects = core.on_stop("the host is stopping")
+    assert messages(effects, Stopped) == [Stopped({})]
+    assert exits(effects) == [0]
 
 
 def test_stop_waits_for_an_actuated_device_beside_a_sensor():
@@ -432,7 +437,7 @@ def test_stop_waits_for_an_actuated_device_beside_a_sensor():
     assert messages(core.on_motion_report("arm", ""), Stopped) == [Stopped({})]
 
 
-def test_another_safe_state_replaces_the_one_of_a_latched_device():
+def test_latched_device_changes_to_another_requested_safe_state():
     rig = Rig()
     rig.core.latch("a", "the host was silent")
     effects = rig.core.latch("a", "no pilot", state="lie down")

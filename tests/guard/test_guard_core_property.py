@@ -1,4 +1,4 @@
-"""Property tests of the guard's core: any order of events, and silence between two readings of a clock."""
+"""Property tests of the guard's core: any order of events, and host silence between two clock readings."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class CreepingClock(ManualClock):
         return self.now
 
 
-@pytest.mark.parametrize("early", range(1, 13))
+@pytest.mark.parametrize("steps_before", range(1, 13))
 @pytest.mark.parametrize("event", ["tick", "ask", "beat"])
-def test_silence_that_starts_between_two_clock_readings_is_found(event, early):
+def test_silence_that_starts_between_two_clock_readings_is_found(event, steps_before):
     clock = CreepingClock()
     core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock, silence=SILENCE)
     start = clock.monotonic()
@@ -37,7 +37,7 @@ def test_silence_that_starts_between_two_clock_readings_is_found(event, early):
     core.on_finished(1, None)
     last = clock.now
     core.on_beat(last)
-    clock.now = last + SILENCE - early * clock.STEP
+    clock.now = last + SILENCE - steps_before * clock.STEP
     effects = {
         "tick": core.tick,
         "ask": lambda: core.on_call(GuardCall(2, "a", "ask", [], last, last)),
@@ -52,13 +52,13 @@ def test_silence_that_starts_between_two_clock_readings_is_found(event, early):
 
 
 class GuardMachine(RuleBasedStateMachine):
-    """Any order of events: a model that only observes the effects checks the promises of the guard."""
+    """Any order of events. A model of the guard, updated from the effects only, checks its promises."""
 
     @initialize()
     def start(self):
         self.rig = Rig()
         self.latched = self.confirmed = self.moved = False
-        self.making = 0
+        self.commands_pending = 0
         self.running: dict[int, GuardCall] = {}
         self.last_contact = self.now
         self.setpoint_until: float | None = None
@@ -71,11 +71,11 @@ class GuardMachine(RuleBasedStateMachine):
     def observe(self, effects):
         for effect in effects:
             if isinstance(effect, MakeSafe):
-                self.making += 1
-                assert self.making == 1, "only one safe-state command at a time"
+                self.commands_pending += 1
+                assert self.commands_pending == 1, "only one safe-state command at a time"
                 assert self.latched or not self.confirmed
             elif isinstance(effect, Abandon):
-                self.making -= 1
+                self.commands_pending -= 1
             elif isinstance(effect, Interrupt):
                 self.running.pop(effect.token)
             elif isinstance(effect, Execute):
@@ -106,15 +106,15 @@ class GuardMachine(RuleBasedStateMachine):
     @precondition(lambda self: not self.latched)
     @rule(instruction=st.sampled_from(["go", "steer"]), steps=st.integers(0, 15))
     def move(self, instruction, steps):
-        """The usual sequence, which random rules alone seldom produce: a call, its end, and time."""
+        """The usual sequence: a call, its end, and some time. Random rules alone seldom produce it."""
         self.call(instruction, 0.0)
         token = self.rig.token
         if token in self.running:
             self._end(token, "finished")
-        self.live(steps)
+        self.advance_with_heartbeats(steps)
 
     @rule(steps=st.integers(1, 15))
-    def live(self, steps):
+    def advance_with_heartbeats(self, steps):
         for _ in range(steps):
             self.rig.clock.advance(0.05)
             self.observe(self.rig.beat())
@@ -148,7 +148,7 @@ class GuardMachine(RuleBasedStateMachine):
         cancelled = token < 0
         arguments = {"finished": (None,), "refused": ("DeviceException", "no"), "crashed": ("boom",)}[how]
         effects = getattr(self.rig.core, f"on_{how}")(token, *arguments)
-        if any(done.token == token for done in messages(effects, CallDone)):
+        if any(answer.token == token for answer in messages(effects, CallDone)):
             if call.instruction == "steer":
                 self.setpoint_until = self.now + TTL
             elif call.instruction == "go":
@@ -165,17 +165,17 @@ class GuardMachine(RuleBasedStateMachine):
     def cancel(self, data, age):
         """A cancelled motion is replaced by its cancel instruction, unless the device has gone safe."""
         token = data.draw(st.sampled_from(sorted(token for token in self.running if token > 0)))
-        was = self.running[token]
+        call = self.running[token]
         self.observe(self.rig.core.on_cancel(token, self.now - age))
         self.last_contact = max(self.last_contact, self.now - age)
-        if was.instruction == "go":
+        if call.instruction == "go":
             assert self.latched or self.running[-token].instruction == "halt"
 
-    @precondition(lambda self: self.making)
-    @rule(good=st.booleans())
-    def safety_answer(self, good):
-        self.making -= 1
-        if good:
+    @precondition(lambda self: self.commands_pending)
+    @rule(is_confirmed=st.booleans())
+    def answer_safe_state(self, is_confirmed):
+        self.commands_pending -= 1
+        if is_confirmed:
             self.observe(self.rig.core.on_safe("a"))
             self.confirmed = True
         else:
@@ -197,13 +197,13 @@ class GuardMachine(RuleBasedStateMachine):
             return
         self.observe(self.rig.core.tick())
         if self.moved and self.now >= self.last_contact + SILENCE:
-            assert self.latched, "the host was silent and the device is free"
+            assert self.latched, "the host was silent and the device is not latched"
         acting = [c for c in self.running.values() if c.instruction in MOVING]
         assert len(acting) <= 1
         if self.setpoint_until is not None and not acting and self.now >= self.setpoint_until:
-            assert self.latched, "a setpoint has expired and the device is free"
+            assert self.latched, "a setpoint has expired and the device is not latched"
         due = self.rig.core.due()
-        assert due is None or due > self.now, "something is due and has not been done"
+        assert due is None or due > self.now, "an action is due and was not executed"
 
 
 GuardMachine.TestCase.settings = settings(max_examples=300, stateful_step_count=30, deadline=None)

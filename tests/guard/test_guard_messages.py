@@ -1,3 +1,5 @@
+"""Messages between host and guard: encoding, decoding, types of values, and the log without a host."""
+
 from __future__ import annotations
 
 import json
@@ -60,12 +62,12 @@ SAMPLES = [
 def test_messages_are_decoded_from_pieces_of_any_size(size):
     data = b"".join(map(encode, SAMPLES))
     reader = MessageReader()
-    got = [m for i in range(0, len(data), size) for m in reader.feed(data[i : i + size])]
-    assert got == SAMPLES
+    decoded = [m for i in range(0, len(data), size) for m in reader.feed(data[i : i + size])]
+    assert decoded == SAMPLES
 
 
 @given(st.integers(0, 30), st.binary(max_size=60))
-def test_random_bytes_are_decoded_or_a_wire_error(kind, payload):
+def test_random_bytes_are_decoded_or_raise_a_wire_error(kind, payload):
     data = (len(payload) + 1).to_bytes(4, "big") + bytes([kind]) + payload
     try:
         messages = list(MessageReader().feed(data))
@@ -85,9 +87,9 @@ def test_random_bytes_are_decoded_or_a_wire_error(kind, payload):
     ],
 )
 def test_value_is_converted_to_its_type(value, kind, result):
-    got = conform(value, kind)
-    assert got == result
-    assert type(got) is type(result)
+    converted = conform(value, kind)
+    assert converted == result
+    assert type(converted) is type(result)
 
 
 @pytest.mark.parametrize(
@@ -109,17 +111,17 @@ def test_value_of_another_type_is_refused(value, kind):
 
 def test_nan_member_of_a_list_survives_the_pipe():
     values = {"positions": Observation([0.5, math.nan], 1.0), "missing": Observation([2], 1.0)}
-    (arrived,) = MessageReader().feed(encode(TelemetrySnapshot("arm.joints", values, 1.0)))
-    assert arrived.values["missing"].value == [2]
-    assert arrived.values["positions"].value[0] == 0.5
-    assert math.isnan(arrived.values["positions"].value[1])
+    (decoded_message,) = MessageReader().feed(encode(TelemetrySnapshot("arm.joints", values, 1.0)))
+    assert decoded_message.values["missing"].value == [2]
+    assert decoded_message.values["positions"].value[0] == 0.5
+    assert math.isnan(decoded_message.values["positions"].value[1])
 
 
 @pytest.fixture
 def orphan_log() -> OrphanLog:
-    made = OrphanLog(ManualClock())
-    made.on_opening([BINDING])
-    return made
+    log = OrphanLog(ManualClock())
+    log.on_opening([BINDING])
+    return log
 
 
 DEVICE = BINDING.name

@@ -1,4 +1,4 @@
-"""The guard as a process, with the MAVLink driver and its fake: flight, death of host or guard, silence.
+"""The guard as a process, with the MAVLink driver and its fake: flight, killed host or guard, silence.
 
 Tests without a process are in test_guard_flights.py, in virtual time.
 """
@@ -33,9 +33,9 @@ BRISK = ["--climb", "8", "--cruise", "15", "--descend", "2.4", "--land", "1.9", 
 
 
 def plugins() -> Plugins:
-    found = Plugins()
-    found.add("lfield_mavlink:PLUGIN")
-    return found
+    plugins = Plugins()
+    plugins.add("lfield_mavlink:PLUGIN")
+    return plugins
 
 
 def binding(endpoint=SIMULATED, **changes):
@@ -78,11 +78,11 @@ async def test_killed_guard_is_restarted_with_its_device_safe():
     async with fake("hold") as f, flying(f, safe_state="hold") as flight:
         await flight.call("arm")
         await flight.call("takeoff", 3.0)
-        lost = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))
+        motion = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))
         await asyncio.sleep(0)
         os.kill(flight.guard_pid, signal.SIGKILL)
         with pytest.raises(DeviceError, match=r"goTo\(\) is lost: the guard ended with status -9"):
-            await lost
+            await motion
         await flight.until_note("in safe state 'hold': its guard died and was restarted")
         await flight.call("release")
         await flight.call("land")
@@ -104,7 +104,7 @@ async def test_stopped_host_is_silent_and_the_vehicle_lands(tmp_path):
         try:
             await asyncio.to_thread(host.stdout.readline)
             host.send_signal(signal.SIGSTOP)
-            await asyncio.to_thread(sees_landing, f.endpoint, armed=True)
+            await asyncio.to_thread(wait_for_landing, f.endpoint, armed=True)
         finally:
             host.kill()
             host.communicate()
@@ -116,26 +116,26 @@ async def test_vehicle_lands_after_the_host_is_killed():
         await asyncio.to_thread(host.stdout.readline)
         host.kill()
         await asyncio.to_thread(host.communicate)
-        # The guard that survives its host owns the endpoint until the vehicle stands.
-        await asyncio.to_thread(sees_landing, f.endpoint, armed=False)
-        async with flying(f) as watcher:
-            await watcher.reads("mode", lambda now: now == "LAND")
-            await watcher.reads("armed", lambda now: now is False)
+        # The guard outlives its host, and owns the endpoint until the vehicle is on the ground and disarmed.
+        await asyncio.to_thread(wait_for_landing, f.endpoint, armed=False)
+        async with flying(f) as flight:
+            await flight.reads("mode", lambda now: now == "LAND")
+            await flight.reads("armed", lambda now: now is False)
 
 
-def sees_landing(endpoint: str, *, armed: bool) -> None:
-    """Waits until the vehicle lands or has landed; uses a separate link, as the guard owns the endpoint."""
-    watcher = mavutil.mavlink_connection(endpoint.replace("udp:", "udpout:"))
+def wait_for_landing(endpoint: str, *, armed: bool) -> None:
+    """Waits until the vehicle lands (`armed`) or has landed; uses a second link beside the guard's."""
+    station = mavutil.mavlink_connection(endpoint.replace("udp:", "udpout:"))
     end = time.monotonic() + 60.0
     while time.monotonic() < end:
-        watcher.mav.heartbeat_send(
+        station.mav.heartbeat_send(
             mavutil.mavlink.MAV_TYPE_GCS, mavutil.mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0
         )
-        heartbeat = watcher.recv_match(type="HEARTBEAT", blocking=True, timeout=0.5)
+        heartbeat = station.recv_match(type="HEARTBEAT", blocking=True, timeout=0.5)
         if heartbeat is None or mavutil.mode_mapping_acm[heartbeat.custom_mode] != "LAND":
             continue
         if armed or not heartbeat.base_mode & mavutil.mavlink.MAV_MODE_FLAG_SAFETY_ARMED:
-            watcher.close()
+            station.close()
             return
     pytest.fail("the vehicle does not land")
 
@@ -173,7 +173,7 @@ def start_host(endpoint: str) -> subprocess.Popen[bytes]:
     )
 
 
-def opening(*devices) -> str:
+def problems_on_opening(*devices) -> str:
     async def attempt():
         async with guarded(*devices):
             raise AssertionError("the devices were opened")
@@ -186,7 +186,7 @@ def opening(*devices) -> str:
 def test_every_device_that_fails_to_open_is_reported():
     absent = binding("udp:127.0.0.1:9", options={"connect": 0.3})
     other = msgspec.structs.replace(binding("upd:127.0.0.1:1"), agent="beta")
-    problems = opening(absent, other)
+    problems = problems_on_opening(absent, other)
     assert "alpha.fc: no heartbeat from system 1 at udp:127.0.0.1:9 within 0.3 s" in problems
     assert "beta.fc: 'upd:127.0.0.1:1' is not an endpoint; write udp:HOST:PORT, udpin:HOST:PORT" in problems
 
@@ -199,19 +199,19 @@ def test_every_device_that_fails_to_open_is_reported():
     ],
 )
 def test_endpoint_that_cannot_be_opened_is_reported(endpoint, words):
-    assert words in opening(binding(endpoint))
+    assert words in problems_on_opening(binding(endpoint))
 
 
 def test_two_vehicles_with_one_id_on_one_link_are_refused():
-    both = [binding("udp:127.0.0.1:9"), msgspec.structs.replace(binding("udp:127.0.0.1:9"), agent="beta")]
-    assert "two devices are system 1 on udp:127.0.0.1:9" in opening(*both)
+    devices = [binding("udp:127.0.0.1:9"), msgspec.structs.replace(binding("udp:127.0.0.1:9"), agent="beta")]
+    assert "two devices are system 1 on udp:127.0.0.1:9" in problems_on_opening(*devices)
 
 
 def test_missing_vendor_library_names_the_extra_on_the_host(tmp_path, monkeypatch):
     """pymavlink is hidden from the guard's process."""
     (tmp_path / "pymavlink.py").write_text("raise ImportError('hidden')")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.pathsep.join(p for p in sys.path if p)}")
-    assert "needs pymavlink: pip install 'lfield[mavlink]'" in opening(binding("udp:127.0.0.1:9"))
+    assert "needs pymavlink: pip install 'lfield[mavlink]'" in problems_on_opening(binding("udp:127.0.0.1:9"))
 
 
 def test_driver_without_a_fake_is_reported():

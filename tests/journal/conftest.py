@@ -11,6 +11,6 @@ from journal_bench import FileBench
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[FileBench]:
-    made = FileBench(tmp_path)
-    yield made
-    made.end()
+    file_bench = FileBench(tmp_path)
+    yield file_bench
+    file_bench.end()

@@ -45,22 +45,22 @@ class Bench(Protocol):
 
 
 class FileBench:
-    """A folder for each life: a killed process leaves the contents of its files at that moment."""
+    """A folder for each process: `open` copies the files of the killed process as they are at that moment."""
 
     def __init__(self, folder: Path) -> None:
         self.clock, self.reports = ManualClock(), list[str]()
-        self._folder, self._life = folder, 0
+        self._folder, self._process_number = folder, 0
         self.journal: FileJournal | None = None
 
     @property
     def path(self) -> Path:
-        return self._folder / str(self._life) / "host.journal"
+        return self._folder / str(self._process_number) / "host.journal"
 
     def open(self, owner: JournalOwner = OWNER) -> FileJournal:
-        killed, before = self.journal, self.path.parent
+        killed, old_folder = self.journal, self.path.parent
         if killed is not None:
-            self._life += 1
-            shutil.copytree(before, self.path.parent)
+            self._process_number += 1
+            shutil.copytree(old_folder, self.path.parent)
             killed.close()
         self.journal = FileJournal(self.path, owner, self.reports.append, self.clock)
         return self.journal
@@ -86,7 +86,7 @@ class FileBench:
 
 
 class SimulatedBench:
-    """A simulated disk. Each life has its own loop, and is killed like a process."""
+    """A simulated disk, and simulated processes: each has its own event loop, and is killed with it."""
 
     def __init__(self) -> None:
         self.timeline = EventQueue()

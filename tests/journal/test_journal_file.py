@@ -1,4 +1,4 @@
-"""The journal on a real disk: its owner, a damaged file, a killed process."""
+"""The journal on a real disk: its owner, damage to its file, and a killed process."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAGES: list[Record] = [CoordinatorRecord(f"agent{n}", 1, "RUN", block=bytes([n])
 
 
 def filled(bench: FileBench) -> bytes:
-    """The bytes of a journal with PAGES, of a process that ended regularly."""
+    """The file contents of a journal with PAGES, after a regular end of its process."""
     journal = bench.open()
     bench.run(journal.persist(PAGES))
     journal.close()
@@ -37,7 +37,7 @@ def filled(bench: FileBench) -> bytes:
 def test_the_file_is_named_after_deployment_and_host(tmp_path: Path) -> None:
     path = journal_file(tmp_path, "a/b?c#", "h@1")
     assert path == tmp_path / "a%2Fb%3Fc%23@h%401" / "host.journal"
-    # SQLite opens it by an address in which all of these characters have a meaning.
+    # SQLite opens the file by a URI, in which these characters are special.
     FileJournal(path, OWNER, print, ManualClock()).close()
     assert path.exists()
 
@@ -52,16 +52,16 @@ def test_a_second_process_is_refused_with_the_number_of_the_first(bench: FileBen
 
 
 @pytest.mark.parametrize(
-    ("owner", "says"),
+    ("owner", "reason"),
     [
         (OWNER._replace(deployment="sowing"), "it is that of barn in harvest, and this is barn in sowing"),
         (OWNER._replace(host="field"), "it is that of barn in harvest, and this is field in harvest"),
         (OWNER._replace(machine="another"), "it was written on another computer"),
     ],
 )
-def test_a_foreign_journal_is_refused_and_not_changed(bench: FileBench, owner: object, says: str) -> None:
+def test_a_foreign_journal_is_refused_and_not_changed(bench: FileBench, owner: object, reason: str) -> None:
     data = filled(bench)
-    with pytest.raises(ForeignJournal, match=says) as found:
+    with pytest.raises(ForeignJournal, match=reason) as found:
         FileJournal(bench.path, owner, print, bench.clock)  # type: ignore[arg-type]
     assert found.value.exit_status == 65
     assert bench.path.read_bytes() == data
@@ -90,7 +90,7 @@ def test_a_newer_version_is_refused_and_not_changed(
         # A read-only process sees all other records.
         observed = open_read_only(bench.path)
         assert len(observed.records) == len(PAGES)
-        assert [one.why for one in observed.damaged] == [
+        assert [record.why for record in observed.damaged] == [
             "it is of version 3: install the lfield that wrote it"
         ]
     assert bench.path.read_bytes() == data
@@ -103,7 +103,7 @@ def test_a_pipe_in_place_of_a_journal_does_not_block(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("made", "says"),
+    ("create", "reason"),
     [
         (Path.mkdir, "it is a folder"),
         (os.mkfifo, "not a file"),
@@ -112,19 +112,19 @@ def test_a_pipe_in_place_of_a_journal_does_not_block(tmp_path: Path) -> None:
     ],
 )
 def test_a_path_that_is_no_journal_is_refused_and_not_replaced(
-    tmp_path: Path, made: Callable[[Path], None], says: str
+    tmp_path: Path, create: Callable[[Path], None], reason: str
 ) -> None:
     path = tmp_path / "host.journal"
-    made(path)
+    create(path)
     before = path.lstat().st_ino
     with pytest.raises(JournalError) as found:
         FileJournal(path, OWNER, print, ManualClock())
     assert (found.value.exit_status, path.lstat().st_ino) == (73, before)
     assert str(found.value) == (
-        f"cannot use the journal {path}: {says}; "
+        f"cannot use the journal {path}: {reason}; "
         "put the journal back, or remove it: this host then starts with an empty one"
     )
-    with pytest.raises(InputFileError, match=says):
+    with pytest.raises(InputFileError, match=reason):
         open_read_only(path)
 
 
@@ -164,17 +164,17 @@ def test_other_users_may_not_read_the_journal(bench: FileBench) -> None:
 
 
 def test_no_record_is_lost_without_a_report_for_any_damage(bench: FileBench) -> None:
-    data, dice = filled(bench), random.Random(0)
+    data, rng = filled(bench), random.Random(0)
     identity = bench.open().identity
     bench.end()
     for _ in range(40):
-        wrong = bytearray(data)
-        if dice.random() < 0.5:
-            at = 4096 * dice.randrange(len(data) // 4096)
-            wrong[at : at + 4096] = dice.randbytes(4096)
+        damaged = bytearray(data)
+        if rng.random() < 0.5:
+            at = 4096 * rng.randrange(len(data) // 4096)
+            damaged[at : at + 4096] = rng.randbytes(4096)
         else:
-            wrong[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
-        bench.path.write_bytes(wrong)
+            damaged[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        bench.path.write_bytes(damaged)
         bench.reports.clear()
         journal = FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
         journal.close()
@@ -185,7 +185,7 @@ def test_no_record_is_lost_without_a_report_for_any_damage(bench: FileBench) -> 
 
 
 @pytest.mark.parametrize(
-    ("wrong", "left"),
+    ("damage", "minimum"),
     [
         (lambda data: b"", 0),
         (lambda data: b"no database at all", 0),
@@ -195,17 +195,17 @@ def test_no_record_is_lost_without_a_report_for_any_damage(bench: FileBench) -> 
         (lambda data: bytes(4096) + data[4096:], 20),
         (lambda data: b"SQLite format 3\0" + bytes(data)[16:100] + bytes(3996) + data[4096:], 20),
     ],
-    ids=["empty", "other", "truncated", "hole", "no schema", "no first page", "no tables"],
+    ids=["empty", "no database", "truncated", "zeroed page", "no schema", "no first page", "no tables"],
 )
 def test_a_damaged_file_is_moved_aside_and_readable_records_are_kept(
-    bench: FileBench, wrong: Callable[[bytes], bytes], left: int
+    bench: FileBench, damage: Callable[[bytes], bytes], minimum: int
 ) -> None:
-    data = wrong(filled(bench))
+    data = damage(filled(bench))
     bench.path.write_bytes(data)
-    if left:
-        assert len(open_read_only(bench.path).records) >= left
+    if minimum:
+        assert len(open_read_only(bench.path).records) >= minimum
     journal = bench.open()
-    assert len(journal.records()) >= left
+    assert len(journal.records()) >= minimum
     assert "is damaged" in bench.reports[0]
     assert "is now host.journal.damaged-1" in bench.reports[0]
     assert bench.path.with_name("host.journal.damaged-1").read_bytes()[:50] == data[:50]
@@ -218,21 +218,21 @@ def test_an_interrupted_replacement_of_the_file_is_completed_by_the_next_process
     bench: FileBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = filled(bench)[:50_000]
-    rename, left = Path.rename, [0]
+    rename, remaining = Path.rename, [0]
 
-    def killed(path: Path, target: Path) -> Path:
-        left[0] -= 1
-        if left[0] < 0:
+    def rename_until_killed(path: Path, target: Path) -> Path:
+        remaining[0] -= 1
+        if remaining[0] < 0:
             raise KeyboardInterrupt
         return rename(path, target)
 
     for renames in range(4):
-        left[0] = renames
+        remaining[0] = renames
         for old in bench.path.parent.iterdir():
             old.unlink()
         bench.path.write_bytes(data)
         with monkeypatch.context() as patch:
-            patch.setattr(Path, "rename", killed)
+            patch.setattr(Path, "rename", rename_until_killed)
             with pytest.raises(KeyboardInterrupt):
                 FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
         journal = FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
@@ -244,11 +244,11 @@ def test_an_interrupted_replacement_of_the_file_is_completed_by_the_next_process
 def test_a_damaged_record_is_kept_for_inspection(bench: FileBench) -> None:
     filled(bench)
     bench.sql("UPDATE pages SET body = x'00' WHERE name = 'agent3'")
-    assert [one.entry.key.name for one in open_read_only(bench.path).damaged] == ["agent3"]
+    assert [record.entry.key.name for record in open_read_only(bench.path).damaged] == ["agent3"]
     bench.open()
     observed = open_read_only(bench.path)
     assert (len(observed.records), observed.damaged) == (19, [])
-    assert [(one.entry.key.name, one.why) for one in observed.moved_aside] == [
+    assert [(record.entry.key.name, record.why) for record in observed.moved_aside] == [
         ("agent3", "its checksum does not fit")
     ]
 
@@ -257,21 +257,21 @@ def test_a_damaged_record_is_kept_for_inspection(bench: FileBench) -> None:
 
 
 @pytest.mark.process
-def test_a_killed_process_has_stored_all_reported_records_and_no_partial_one(bench: FileBench) -> None:
+def test_a_killed_process_has_stored_every_reported_record_completely(bench: FileBench) -> None:
     writer = [sys.executable, str(Path(__file__).with_name("journal_writer.py")), str(bench.path.parent)]
     for _ in range(2):
         with subprocess.Popen(writer, stdout=subprocess.PIPE, text=True) as child:
             assert child.stdout is not None
             for _ in range(30):
-                said = int(child.stdout.readline())
+                printed = int(child.stdout.readline())
             child.kill()
-            said = int((child.stdout.read().split() or [said])[-1])
+            printed = int((child.stdout.read().split() or [printed])[-1])
     journal = FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
     journal.close()
     starts, copy = journal.records()
     assert isinstance(starts, StartCounter)
     assert isinstance(copy, CoordinatorRecord)
-    assert starts.count in (said, said + 1)
+    assert starts.count in (printed, printed + 1)
     assert copy.sequence == starts.count
     assert copy.block == starts.count.to_bytes(8, "big") * 1000
     assert bench.reports == []

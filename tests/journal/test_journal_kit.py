@@ -61,8 +61,8 @@ def bench_of(kind: str) -> Iterator[Bench]:
 
 @pytest.fixture(params=KINDS)
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    with bench_of(request.param) as made:
-        yield made
+    with bench_of(request.param) as selected:
+        yield selected
 
 
 def by_key(pages: Sequence[Record]) -> dict[RecordKey, Record]:
@@ -71,13 +71,13 @@ def by_key(pages: Sequence[Record]) -> dict[RecordKey, Record]:
     return found
 
 
-def test_stored_records_are_there_in_the_next_life(bench: Bench) -> None:
+def test_stored_records_are_loaded_by_the_next_process(bench: Bench) -> None:
     journal = bench.open()
     assert journal.records() == []
     bench.run(journal.persist(PAGES))
-    again = bench.open()
-    assert by_key(again.records()) == by_key(PAGES)
-    assert again.identity == journal.identity
+    next_journal = bench.open()
+    assert by_key(next_journal.records()) == by_key(PAGES)
+    assert next_journal.identity == journal.identity
     assert bench.reports == []
 
 
@@ -106,17 +106,17 @@ CHANGES = st.builds(
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=12)
 @given(changes=st.lists(CHANGES, max_size=6), waits=st.booleans())
-def test_after_any_changes_the_next_life_finds_their_result(
+def test_the_next_process_loads_the_result_of_any_changes(
     kind: str, changes: list[Change], waits: bool
 ) -> None:
-    """Changes one after the other, and at once in the order of the calls."""
+    """`waits`: each change is awaited before the next; otherwise all are submitted at once, in order."""
     expected: dict[RecordKey, Record] = {}
     for pages, keys in changes:
         expected |= {key_of(page): page for page in pages}
         for key in keys:
             expected.pop(key, None)
 
-    async def make(journal: Journal) -> None:
+    async def apply_changes(journal: Journal) -> None:
         calls = [call for pages, keys in changes for call in (journal.persist(pages), journal.delete(keys))]
         if not waits:
             await asyncio.gather(*calls)
@@ -125,17 +125,17 @@ def test_after_any_changes_the_next_life_finds_their_result(
             await call
 
     with bench_of(kind) as bench:
-        bench.run(make(bench.open()))
+        bench.run(apply_changes(bench.open()))
         assert by_key(bench.open().records()) == expected
 
 
 def test_calls_of_one_turn_are_one_commit(bench: Bench) -> None:
     journal = bench.open()
 
-    async def many() -> None:
+    async def persist_counters() -> None:
         await asyncio.gather(*(journal.persist([StartCounter(count)]) for count in range(50)))
 
-    bench.run(many())
+    bench.run(persist_counters())
     assert journal.commits_last_minute(bench.clock.monotonic()) == 1
     assert bench.open().records() == [StartCounter(49)]
 
@@ -146,8 +146,7 @@ def test_written_and_deleted_records_are_one_change(bench: Bench) -> None:
     new = CoordinatorRecord("scout", 3, "PREPARED", sequence=8, block=b"with all results")
     bench.run(journal.change([Change([new], [key_of(PAGES[1])])]))
     assert journal.commits_last_minute(bench.clock.monotonic()) == 2
-    left = by_key(bench.open().records())
-    assert left == by_key([new, *PAGES[2:]])
+    assert by_key(bench.open().records()) == by_key([new, *PAGES[2:]])
 
 
 def test_a_record_has_the_time_of_its_storage(bench: Bench) -> None:
@@ -157,7 +156,7 @@ def test_a_record_has_the_time_of_its_storage(bench: Bench) -> None:
     bench.run(journal.persist(PAGES))
     times = bench.open().times
     assert times.keys() == by_key(PAGES).keys()
-    assert all(before <= kept <= bench.clock.time() for kept in times.values())
+    assert all(before <= stored <= bench.clock.time() for stored in times.values())
 
 
 def test_a_full_disk_is_reported_and_the_journal_recovers(bench: Bench) -> None:
@@ -174,17 +173,17 @@ def test_a_full_disk_is_reported_and_the_journal_recovers(bench: Bench) -> None:
     bench.fill(False)
     bench.run(journal.persist([]))
     assert journal.trouble == ""
-    # Nothing of the failed change is there.
+    # No record of the failed change is stored.
     assert bench.open().records() == [StartCounter(1)]
 
 
-def test_calls_before_the_report_of_a_failure_fail_too(bench: Bench) -> None:
+def test_calls_queued_behind_a_failed_commit_fail_too(bench: Bench) -> None:
     journal = bench.open()
     bench.fill(True)
 
     async def calls() -> list[BaseException | None]:
         first = asyncio.ensure_future(journal.persist([LARGE]))
-        # The first commit begins; later calls wait for it.
+        # The first commit starts; later calls wait for its end.
         for _ in range(2):
             await asyncio.sleep(0)
         later = asyncio.ensure_future(journal.persist([StartCounter(1)]))
@@ -199,30 +198,30 @@ def test_a_damaged_record_is_reported_and_changes_the_identity(bench: Bench) -> 
     bench.run(journal.persist(PAGES))
     journal.close()
     bench.damage(RecordKey("copy", "scout", 3))
-    again = bench.open()
+    next_journal = bench.open()
     (report,) = bench.reports
     assert report.startswith("the copy of scout, start 3, stored ")
     assert "is damaged in the journal" in report
-    assert by_key(again.records()) == by_key(PAGES[1:])
-    assert again.identity != journal.identity
-    last = bench.open()
-    assert (last.identity, len(bench.reports)) == (again.identity, 1)
+    assert by_key(next_journal.records()) == by_key(PAGES[1:])
+    assert next_journal.identity != journal.identity
+    third = bench.open()
+    assert (third.identity, len(bench.reports)) == (next_journal.identity, 1)
 
 
 def test_the_start_counter_is_lost_with_a_damaged_fence(bench: Bench) -> None:
-    """The host then counts as one that may have lost its promises."""
+    """The host then counts as a host that may have lost its promises."""
     journal = bench.open()
     bench.run(journal.persist(PAGES))
     journal.close()
     bench.damage(RecordKey("fence", "scout"))
-    left = [page for page in PAGES if not isinstance(page, FenceRecord | StartCounter)]
-    assert by_key(bench.open().records()) == by_key(left)
+    remaining = [page for page in PAGES if not isinstance(page, FenceRecord | StartCounter)]
+    assert by_key(bench.open().records()) == by_key(remaining)
     (report,) = bench.reports
     assert report.startswith("the fence of scout, stored ")
-    assert by_key(bench.open().records()) == by_key(left)
+    assert by_key(bench.open().records()) == by_key(remaining)
 
 
-def test_an_unreadable_stop_is_reported_and_no_start_is_lost_with_it(bench: Bench) -> None:
+def test_an_unreadable_stop_is_reported_and_the_start_counter_is_kept(bench: Bench) -> None:
     journal = bench.open()
     bench.run(journal.persist([StartCounter(4), PauseFlag(True), EmergencyStopFlag("fog")]))
     journal.close()
@@ -234,11 +233,11 @@ def test_an_unreadable_stop_is_reported_and_no_start_is_lost_with_it(bench: Benc
 def test_the_commits_of_a_minute_are_counted(bench: Bench) -> None:
     journal = bench.open()
 
-    async def some() -> None:
+    async def persist_three() -> None:
         for count in range(3):
             await journal.persist([StartCounter(count)])
 
-    bench.run(some())
+    bench.run(persist_three())
     now = bench.clock.monotonic()
     assert journal.commits_last_minute(now) == 3
     assert journal.commits_last_minute(now + 60.0) == 0

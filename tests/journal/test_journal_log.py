@@ -1,4 +1,4 @@
-"""The write-ahead log of a journal: the parts that a power cut may remove, and damage."""
+"""The write-ahead log of a journal: commits cut off by a power failure, and damaged frames."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from lfield.journal.readonly_view import open_read_only
 from lfield.journal.records import CoordinatorRecord, StartCounter
 from lfield.journal.wal import read_wal, wal_file
 
-#: In a log: the header of the file, the header of a frame, and a whole frame.
+#: Sizes in a log: the header of the file, the header of a frame, and a whole frame.
 HEAD, FRAME, WHOLE = 32, 24, 24 + 4096
 
 
-def killed(bench: FileBench, place: Path, counts: int = 30) -> Path:
+def journal_of_killed_process(bench: FileBench, place: Path, counts: int = 30) -> Path:
     """The journal of a process that was killed after `counts` records."""
     journal = bench.open()
     bench.run(journal.persist([CoordinatorRecord("pilot", 1, "RUN", block=bytes(9000))]))
@@ -28,15 +28,15 @@ def killed(bench: FileBench, place: Path, counts: int = 30) -> Path:
     return place / bench.path.name
 
 
-def spoil(path: Path, at: int) -> None:
+def flip_bit(path: Path, at: int) -> None:
     """Flip a bit of a journal's log."""
     data = bytearray(wal_file(path).read_bytes())
     data[at] ^= 1
     wal_file(path).write_bytes(data)
 
 
-def again(bench: FileBench, path: Path) -> FileJournal:
-    """Open the journal in the next process."""
+def reopened(bench: FileBench, path: Path) -> FileJournal:
+    """The journal as the next process opens and closes it."""
     journal = FileJournal(path, OWNER, bench.reports.append, bench.clock)
     journal.close()
     return journal
@@ -47,73 +47,73 @@ def count_of(journal: FileJournal) -> int | None:
 
 
 def test_a_complete_log_is_read_as_by_sqlite(bench: FileBench, tmp_path: Path) -> None:
-    log = read_wal(killed(bench, tmp_path / "left"))
+    log = read_wal(journal_of_killed_process(bench, tmp_path / "copy"))
     assert (log.valid_prefix, log.fault) == (len(log.frames), "")
     assert log.valid_prefix > 30
 
 
 def test_a_wrong_bit_in_an_older_commit_loses_no_later_record(bench: FileBench, tmp_path: Path) -> None:
-    path = killed(bench, tmp_path / "left")
-    spoil(path, HEAD + 20 * WHOLE + FRAME + 2000)
+    path = journal_of_killed_process(bench, tmp_path / "copy")
+    flip_bit(path, HEAD + 20 * WHOLE + FRAME + 2000)
     assert read_wal(path).fault.startswith("frame 21 of the ")
     assert "of its log is damaged" in open_read_only(path).fault
-    journal = again(bench, path)
+    journal = reopened(bench, path)
     assert count_of(journal) == 30
     assert bench.journal is not None
     assert journal.identity == bench.journal.identity
     assert "frame 21 of the " in bench.reports[0]
     assert bench.reports[0].endswith("nothing is lost")
-    again(bench, path)
+    reopened(bench, path)
     assert len(bench.reports) == 1
 
 
 def test_no_older_record_is_used_when_the_newest_is_damaged(bench: FileBench, tmp_path: Path) -> None:
-    path = killed(bench, tmp_path / "left")
+    path = journal_of_killed_process(bench, tmp_path / "copy")
     log = read_wal(path)
-    # The frames of the copy's block are the newest of their pages: nothing replaces them.
+    # The block of the copy was written once: no later frame replaces its pages.
     last = {frame.number: at for at, frame in enumerate(log.frames)}
-    spoil(path, HEAD + min(last.values()) * WHOLE + FRAME + 2000)
-    assert {one.entry.key.kind for one in open_read_only(path).damaged} >= {"starts"}
-    journal = again(bench, path)
+    flip_bit(path, HEAD + min(last.values()) * WHOLE + FRAME + 2000)
+    assert {record.entry.key.kind for record in open_read_only(path).damaged} >= {"starts"}
+    journal = reopened(bench, path)
     assert journal.records() == []
     assert bench.journal is not None
     assert journal.identity != bench.journal.identity
     assert "stay in doubt" in bench.reports[0]
     assert any("a later one may have been lost with the log" in line for line in bench.reports)
-    assert again(bench, path).identity == journal.identity
+    assert reopened(bench, path).identity == journal.identity
 
 
 @pytest.mark.parametrize("at", [8, 20], ids=["salt", "checksum"])
 def test_a_damaged_header_of_an_older_frame_is_detected(bench: FileBench, tmp_path: Path, at: int) -> None:
-    path = killed(bench, tmp_path / "left")
-    spoil(path, HEAD + 20 * WHOLE + at)
+    path = journal_of_killed_process(bench, tmp_path / "copy")
+    flip_bit(path, HEAD + 20 * WHOLE + at)
     assert read_wal(path).valid_prefix == 20
-    assert count_of(again(bench, path)) in (30, None)
+    assert count_of(reopened(bench, path)) in (30, None)
     assert bench.reports
 
 
 def test_a_log_with_a_damaged_header_is_still_read(bench: FileBench, tmp_path: Path) -> None:
-    path = killed(bench, tmp_path / "left")
-    spoil(path, 17)
-    assert count_of(again(bench, path)) in (30, None)
+    path = journal_of_killed_process(bench, tmp_path / "copy")
+    flip_bit(path, 17)
+    assert count_of(reopened(bench, path)) in (30, None)
     assert "frame 1 of the " in bench.reports[0]
 
 
 def test_an_incomplete_last_commit_counts_as_a_power_cut(bench: FileBench, tmp_path: Path) -> None:
-    path = killed(bench, tmp_path / "left")
+    path = journal_of_killed_process(bench, tmp_path / "copy")
     frames = read_wal(path).frames
     for cut in (1, WHOLE // 2, WHOLE - 1):
         shutil.copytree(path.parent, place := tmp_path / f"cut{cut}")
         data = wal_file(path).read_bytes()
         wal_file(place / path.name).write_bytes(data[: HEAD + len(frames) * WHOLE - cut])
-        assert count_of(again(bench, place / path.name)) == 29
-    spoil(path, HEAD + (len(frames) - 1) * WHOLE + FRAME)
+        assert count_of(reopened(bench, place / path.name)) == 29
+    flip_bit(path, HEAD + (len(frames) - 1) * WHOLE + FRAME)
     assert read_wal(path).fault == ""
-    assert count_of(again(bench, path)) == 29
+    assert count_of(reopened(bench, path)) == 29
     assert bench.reports == []
 
 
-def test_the_rest_of_an_earlier_log_is_no_damage(bench: FileBench, tmp_path: Path) -> None:
+def test_frames_left_by_an_earlier_log_are_not_damage(bench: FileBench, tmp_path: Path) -> None:
     journal = bench.open()
     bench.run(journal.persist([CoordinatorRecord("pilot", 1, "RUN", block=bytes(90_000))]))
     journal._restart_log()
@@ -124,18 +124,18 @@ def test_the_rest_of_an_earlier_log_is_no_damage(bench: FileBench, tmp_path: Pat
 
 
 def test_a_missing_log_is_reported_and_older_records_are_not_used(bench: FileBench, tmp_path: Path) -> None:
-    for spoilt in (Path.unlink, lambda log: log.write_bytes(b"")):
-        path = killed(bench, tmp_path / f"left{bool(bench.reports)}")
+    for damage in (Path.unlink, lambda log: log.write_bytes(b"")):
+        path = journal_of_killed_process(bench, tmp_path / f"copy{bool(bench.reports)}")
         bench.reports.clear()
-        spoilt(wal_file(path))
+        damage(wal_file(path))
         assert open_read_only(path).fault == "its log is missing"
-        journal = again(bench, path)
+        journal = reopened(bench, path)
         assert journal.records() == []
         assert "its log is missing" in bench.reports[0]
         assert bench.journal is not None
         assert journal.identity != bench.journal.identity
         count = len(bench.reports)
-        again(bench, path)
+        reopened(bench, path)
         assert len(bench.reports) == count
 
 

@@ -1,4 +1,4 @@
-"""The bytes of records: they are restored, and changed bytes are rejected."""
+"""Records as bytes: decoding restores them, and rejects changed bytes."""
 
 from __future__ import annotations
 
@@ -63,58 +63,58 @@ PAGES: st.SearchStrategy[Record] = st.one_of(
 TIMES = st.floats(0, 4e9)
 
 
-@given(page=PAGES, kept=TIMES)
-def test_a_record_is_restored(page: Record, kept: float) -> None:
-    made = encode_record(page, kept)
-    assert decode_record(made) == page
-    assert made.key == key_of(page)
+@given(page=PAGES, time=TIMES)
+def test_a_record_is_restored(page: Record, time: float) -> None:
+    encoded = encode_record(page, time)
+    assert decode_record(encoded) == page
+    assert encoded.key == key_of(page)
 
 
-@given(page=PAGES, kept=TIMES, data=st.data())
-def test_a_record_with_one_wrong_bit_is_rejected(page: Record, kept: float, data: st.DataObject) -> None:
-    made = encode_record(page, kept)
-    at = data.draw(st.integers(0, 8 * len(made.body) - 1))
-    body = bytearray(made.body)
+@given(page=PAGES, time=TIMES, data=st.data())
+def test_a_record_with_one_wrong_bit_is_rejected(page: Record, time: float, data: st.DataObject) -> None:
+    encoded = encode_record(page, time)
+    at = data.draw(st.integers(0, 8 * len(encoded.body) - 1))
+    body = bytearray(encoded.body)
     body[at // 8] ^= 1 << at % 8
-    for wrong in (
-        made._replace(body=bytes(body)),
-        made._replace(written_at=made.written_at + 1.0 + made.written_at / 2),
-        made._replace(version=made.version + 1),
-        made._replace(key=made.key._replace(number=made.key.number ^ 1)),
-        made._replace(key=made.key._replace(name=made.key.name + "x")),
-        made._replace(checksum=made.checksum ^ 1),
+    for damaged in (
+        encoded._replace(body=bytes(body)),
+        encoded._replace(written_at=encoded.written_at + 1.0 + encoded.written_at / 2),
+        encoded._replace(version=encoded.version + 1),
+        encoded._replace(key=encoded.key._replace(number=encoded.key.number ^ 1)),
+        encoded._replace(key=encoded.key._replace(name=encoded.key.name + "x")),
+        encoded._replace(checksum=encoded.checksum ^ 1),
     ):
         with pytest.raises(RecordError, match="checksum"):
-            decode_record(wrong)
+            decode_record(damaged)
 
 
-ANYTHING = st.sampled_from([None, 0, -1, 2**63, 1.5, float("nan"), 1e300, "copy", b"\xff"])
+ANY_VALUE = st.sampled_from([None, 0, -1, 2**63, 1.5, float("nan"), 1e300, "copy", b"\xff"])
 
 
-@given(key=st.builds(RecordKey, ANYTHING, ANYTHING, ANYTHING), rest=st.tuples(*[ANYTHING] * 4))
+@given(key=st.builds(RecordKey, ANY_VALUE, ANY_VALUE, ANY_VALUE), rest=st.tuples(*[ANY_VALUE] * 4))
 def test_any_row_in_place_of_a_record_is_rejected_and_described(
     key: RecordKey, rest: tuple[object, ...]
 ) -> None:
-    made = encode_record(StartCounter(1), 0.0)
-    found = type(made)(key, *rest)  # type: ignore[arg-type]
+    encoded = encode_record(StartCounter(1), 0.0)
+    row = type(encoded)(key, *rest)  # type: ignore[arg-type]
     with pytest.raises(RecordError):
-        decode_record(found)
-    assert describe_loss(found)
+        decode_record(row)
+    assert describe_loss(row)
 
 
 def test_a_valid_record_under_another_key_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.journal.records.key_of", lambda page: RecordKey("copy", "scout", 1))
-    made = encode_record(StartCounter(1), 0.0)
+    encoded = encode_record(StartCounter(1), 0.0)
     monkeypatch.undo()
     with pytest.raises(RecordError, match="stored under another key"):
-        decode_record(made)
+        decode_record(encoded)
 
 
 def test_a_record_of_a_newer_version_is_distinguished_from_a_damaged_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("lfield.journal.records.VERSION", VERSION + 1)
-    made = encode_record(StartCounter(1), 0.0)
+    encoded = encode_record(StartCounter(1), 0.0)
     monkeypatch.undo()
     with pytest.raises(UnsupportedRecordVersion, match=f"version {VERSION + 1}"):
-        decode_record(made)
+        decode_record(encoded)

@@ -1,4 +1,4 @@
-"""The simulated disk is as strict as a real one, when it fails, is replaced, or its process is killed."""
+"""The simulated disk keeps and loses records as a real one does: failure, replacement, killed process."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ AFTER: list[Record] = [StartCounter(2), RunMarker(False)]
 
 @pytest.fixture
 def bench() -> Iterator[SimulatedBench]:
-    made = SimulatedBench()
-    yield made
-    made.end()
+    simulated = SimulatedBench()
+    yield simulated
+    simulated.end()
 
 
 def test_a_commit_during_a_kill_is_stored_completely_or_not_at_all(bench: SimulatedBench) -> None:
-    dice, found = random.Random(0), []
+    rng, found = random.Random(0), []
     for _ in range(40):
         bench.run(bench.open().persist(BEFORE))
         journal, reported = bench.open(), list[None]()
 
-        async def keep(journal=journal, reported=reported) -> None:  # type: ignore[no-untyped-def]
+        async def store(journal=journal, reported=reported) -> None:  # type: ignore[no-untyped-def]
             await journal.persist(AFTER)
             reported.append(None)
 
-        bench.loop.enter(lambda keep=keep: bench.loop.create_task(keep()))  # type: ignore[misc]
-        bench.timeline.run(dice.uniform(0.0, 1.2 * bench.disk.sync))
-        left = bench.open().records()
-        assert left in (BEFORE, AFTER)
-        assert left == AFTER or not reported
-        found.append((left == AFTER, bool(reported)))
+        bench.loop.enter(lambda store=store: bench.loop.create_task(store()))  # type: ignore[misc]
+        bench.timeline.run(rng.uniform(0.0, 1.2 * bench.disk.sync))
+        stored = bench.open().records()
+        assert stored in (BEFORE, AFTER)
+        assert stored == AFTER or not reported
+        found.append((stored == AFTER, bool(reported)))
     # Not stored; stored and not reported; stored and reported.
     assert set(found) == {(False, False), (True, False), (True, True)}
 
 
-def test_a_broken_disk_refuses_and_may_still_have_stored_the_records(bench: SimulatedBench) -> None:
+def test_a_failed_write_may_still_have_stored_the_records(bench: SimulatedBench) -> None:
     found = []
     for _ in range(20):
         bench.run(bench.open().persist(BEFORE))
@@ -75,15 +75,15 @@ def test_a_replaced_disk_is_empty_and_has_another_identity(bench: SimulatedBench
     journal = bench.open()
     bench.run(journal.persist(BEFORE))
     bench.disk.replace()
-    again = bench.open()
-    assert again.records() == []
-    assert again.identity != journal.identity
+    next_journal = bench.open()
+    assert next_journal.records() == []
+    assert next_journal.identity != journal.identity
 
 
-def test_identities_come_from_the_random_generator() -> None:
+def test_the_seed_determines_the_identity() -> None:
     clock = ManualClock()
-    drawn = [JournalDisk(random.Random(seed)).open(clock, print).identity for seed in (1, 1, 2)]
-    assert drawn[0] == drawn[1] != drawn[2]
+    identities = [JournalDisk(random.Random(seed)).open(clock, print).identity for seed in (1, 1, 2)]
+    assert identities[0] == identities[1] != identities[2]
 
 
 def test_a_damaged_record_is_reported_and_the_others_are_kept(bench: SimulatedBench) -> None:

@@ -1,4 +1,4 @@
-"""Fakes in virtual time, and the driver kits run on them by the code of `lfield kit`."""
+"""Driver kits on fakes in virtual time; the code of `lfield kit` runs them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ def desk():
 
 
 @pytest.fixture
-def try_kit(desk, tmp_path):
-    """Runs the kit of a driver, or some of its checks, on named devices of the desk, one after the other.
+def run_kit_on(desk, tmp_path):
+    """Runs the kit of a driver on devices of the desk, one after the other.
 
-    Each device is a line of a devices file; `frame` is that of all devices, `origin` the team's. `first`
-    is called before the checks of each, `last` after them. Findings by device and check.
+    `devices` has the entry of a devices file for each name. `only` limits the run to these checks. `frame` is
+    the frame of the agent, `origin` the origin of the team. `first` is called before the checks of each
+    device, `last` after them. Returns the findings by device and check.
     """
 
     def run(driver, devices, *, only=(), frame="", origin="", first=lambda: None, last=lambda: None):
@@ -31,18 +32,18 @@ def try_kit(desk, tmp_path):
         checks = [check for check in conformance_checks(installed) if not only or check.name in only]
 
         def step(name, action):
-            async def act(bench):
+            async def call_action(bench):
                 action()
                 return "done"
 
-            return Check(name, act, moves=False)
+            return Check(name, call_action, moves=False)
 
         checks = [step("first", first), *checks, step("last", last)]
         path = tmp_path / "kit.yaml"
-        lines = [f"      {name}: {{driver: {driver}, {words}}}" for name, words in devices.items()]
-        whole = [f"frame: {{origin: {origin}}}"] if origin else []
+        lines = [f"      {name}: {{driver: {driver}, {entry}}}" for name, entry in devices.items()]
+        team = [f"frame: {{origin: {origin}}}"] if origin else []
         agent = [f"    frame: {frame}"] if frame else []
-        path.write_text("\n".join([*whole, "agents:", "  kit:", *agent, "    devices:", *lines]))
+        path.write_text("\n".join([*team, "agents:", "  kit:", *agent, "    devices:", *lines]))
         bound = devices_in_file(path, installed, plugins, "")
         found = desk.try_kit(*bound, checks=checks)
         return {(f.device.removeprefix("kit."), f.check): f for f in found}

@@ -1,4 +1,4 @@
-"""The results of a kit."""
+"""Failed and skipped checks of a kit."""
 
 from __future__ import annotations
 

@@ -15,12 +15,15 @@ def servos(desk, *specs):
     return desk.fake("dynamixel", "--baud", "1000000", *options)
 
 
-def test_servo_and_group_pass_the_kit(desk, try_kit):
+def test_servo_and_group_pass_the_kit(desk, run_kit_on):
     chain = servos(desk, "1:XM430-W350", "2:XL330-M288", "3:XM430-W350")
-    where = f'endpoint: "{chain.endpoint}", ttl: 0.3, limits: {{speed: 4.0}}'
-    found = try_kit(
+    binding = f'endpoint: "{chain.endpoint}", ttl: 0.3, limits: {{speed: 4.0}}'
+    found = run_kit_on(
         "dynamixel",
-        {"servo": f"type: Dynamixel, id: 1, {where}", "group": f"type: DynamixelGroup, ids: [2, 3], {where}"},
+        {
+            "servo": f"type: Dynamixel, id: 1, {binding}",
+            "group": f"type: DynamixelGroup, ids: [2, 3], {binding}",
+        },
     )
     assert failed(found) == []
     assert {finding.outcome for finding in found.values()} == {"passed"}
@@ -30,41 +33,41 @@ def test_servo_and_group_pass_the_kit(desk, try_kit):
     assert found["group", "every member answers"].seen == "2 members"
 
 
-def test_feetech_servos_pass_as_they_were_calibrated(desk, try_kit):
+def test_calibrated_feetech_servos_pass_the_kit(desk, run_kit_on):
     chain = servos(desk, *(f"{id}:STS3215" for id in (1, 2, 3, 7)), f"--calibration={SO101}")
-    where = f'endpoint: "{chain.endpoint}", protocol: 0, ttl: 0.3, limits: {{speed: 4.0}}'
-    found = try_kit(
+    binding = f'endpoint: "{chain.endpoint}", protocol: 0, ttl: 0.3, limits: {{speed: 4.0}}'
+    found = run_kit_on(
         "dynamixel",
         {
-            "servo": f"type: Dynamixel, id: 7, waivers: [device_watchdog], {where}",
+            "servo": f"type: Dynamixel, id: 7, waivers: [device_watchdog], {binding}",
             "group": f"type: DynamixelGroup, ids: [1, 2, 3], calibration: {SO101}, "
-            f"waivers: [device_watchdog], {where}",
+            f"waivers: [device_watchdog], {binding}",
         },
     )
     assert failed(found) == []
     assert {check for _, check in not_run(found)} == {"its watchdog stops it, and release() frees it"}
 
 
-def test_faulty_servos_fail_their_checks(desk, try_kit):
+def test_faulty_servos_fail_their_checks(desk, run_kit_on):
     chain = servos(desk, "1:XM430-W350", "2:XL330-M288", "3:XL330-M288", "4:XM430-W350")
-    where = f'endpoint: "{chain.endpoint}", ttl: 0.3'
-    volts, turn, all_there = (
+    binding = f'endpoint: "{chain.endpoint}", ttl: 0.3'
+    supply, motion, members = (
         "supply and temperature are plausible",
         "turns there and back",
         "every member answers",
     )
-    found = try_kit(
+    found = run_kit_on(
         "dynamixel",
         {
-            "stuck": f"type: Dynamixel, id: 1, {where}",
-            "sagging": f"type: Dynamixel, id: 4, {where}",
-            "group": f"type: DynamixelGroup, ids: [2, 3], {where}",
+            "stuck": f"type: Dynamixel, id: 1, {binding}",
+            "sagging": f"type: Dynamixel, id: 4, {binding}",
+            "group": f"type: DynamixelGroup, ids: [2, 3], {binding}",
         },
-        only=(volts, turn, all_there),
+        only=(supply, motion, members),
         first=lambda: chain.fault("stuck@1=true", "sag@4=10", "dead@3=true"),
         last=lambda: chain.fault("dead@3=false"),
     )
-    assert "something is in the way" in found["stuck", turn].seen
-    assert "it reports" in found["sagging", volts].seen
-    assert "servo 3" in found["group", all_there].seen or "[3]" in found["group", all_there].seen
-    assert found["stuck", volts].outcome == "passed"
+    assert "something is in the way" in found["stuck", motion].seen
+    assert "it reports" in found["sagging", supply].seen
+    assert "servo 3" in found["group", members].seen or "[3]" in found["group", members].seen
+    assert found["stuck", supply].outcome == "passed"

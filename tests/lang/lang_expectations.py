@@ -1,4 +1,4 @@
-"""Golden files: the expectation is on the line itself, as `// error L405: part of the message`."""
+"""Golden files: each expected diagnostic is a comment on its line, `// error L405: part of the message`."""
 
 from __future__ import annotations
 
@@ -44,8 +44,10 @@ def expected(path: Path) -> list[tuple[int, str, str, str]]:
 
 def assert_exactly(path: Path, diagnostics: list[Diagnostic]) -> None:
     """The diagnostics are exactly those that the file expects."""
-    wanted = expected(path)
-    drawn = "\n".join(d.render() for d in diagnostics)
-    assert [(d.span.line, d.severity, d.code) for d in diagnostics] == [w[:3] for w in wanted], drawn
-    for diagnostic, (_, _, _, part) in zip(diagnostics, wanted, strict=True):
+    expectations = expected(path)
+    rendered = "\n".join(d.render() for d in diagnostics)
+    assert [(d.span.line, d.severity, d.code) for d in diagnostics] == [each[:3] for each in expectations], (
+        rendered
+    )
+    for diagnostic, (_, _, _, part) in zip(diagnostics, expectations, strict=True):
         assert part in diagnostic.message, diagnostic.render()

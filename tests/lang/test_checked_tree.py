@@ -1,4 +1,4 @@
-"""The checked tree for the compiler: sugar expanded, names resolved, conversions as nodes."""
+"""The checked tree that the compiler reads: expanded syntax, resolved names, conversions as nodes."""
 
 from typing import TypeVar
 
@@ -118,9 +118,9 @@ def test_null_is_the_right_operand_and_keeps_its_type() -> None:
 
 
 def test_smallest_int_is_one_literal() -> None:
-    (least,) = call("print(-9223372036854775808);", tree.LibraryCall).arguments
-    assert isinstance(least, tree.Literal_)
-    assert (least.value, least.type) == (-(2**63), INT)
+    (literal,) = call("print(-9223372036854775808);", tree.LibraryCall).arguments
+    assert isinstance(literal, tree.Literal_)
+    assert (literal.value, literal.type) == (-(2**63), INT)
 
 
 def test_operators_have_the_precedence_of_c() -> None:
@@ -155,17 +155,17 @@ def test_portal_calls_and_finds_of_agents() -> None:
         "resource Arm { init(string[] a) { } portal go(real x) emit int { return 1; } }"
         'coordinator Boss { init(string[] a) { Arm x = findArm("a"); Arm[] all = findArm(); all[0].go(1); } }'
     )
-    one, all_, last = units["Boss"].methods[0].body
-    assert isinstance(one, tree.Declare)
-    assert isinstance(one.value, tree.Find)
-    assert (one.value.resource, one.value.type) == (units["Arm"], ResourceType("Arm"))
-    assert isinstance(all_, tree.Declare)
-    assert isinstance(all_.value, tree.Find)
-    assert (all_.value.id, all_.value.type) == (None, array_of(ResourceType("Arm")))
-    assert isinstance(last, tree.Evaluate)
-    assert isinstance(last.value, tree.PortalCall)
-    assert last.value.portal is units["Arm"].methods[1]
-    assert isinstance(last.value.arguments[0], tree.ToReal)
+    single, several, portal_call = units["Boss"].methods[0].body
+    assert isinstance(single, tree.Declare)
+    assert isinstance(single.value, tree.Find)
+    assert (single.value.resource, single.value.type) == (units["Arm"], ResourceType("Arm"))
+    assert isinstance(several, tree.Declare)
+    assert isinstance(several.value, tree.Find)
+    assert (several.value.id, several.value.type) == (None, array_of(ResourceType("Arm")))
+    assert isinstance(portal_call, tree.Evaluate)
+    assert isinstance(portal_call.value, tree.PortalCall)
+    assert portal_call.value.portal is units["Arm"].methods[1]
+    assert isinstance(portal_call.value.arguments[0], tree.ToReal)
 
 
 def test_device_calls() -> None:
@@ -188,13 +188,13 @@ def test_throw_and_catch_of_exceptions() -> None:
         "",
         "class Box { }",
     )
-    (attempt,) = statements
-    assert isinstance(attempt, tree.Try)
-    (thrown,) = attempt.body
+    (try_,) = statements
+    assert isinstance(try_, tree.Try)
+    (thrown,) = try_.body
     assert isinstance(thrown, tree.Throw)
     assert isinstance(thrown.value, tree.New)
     assert (thrown.value.constructor, thrown.value.type) == (None, ClassType("NullException"))
-    assert [clause.local.type for clause in attempt.catches] == [ClassType("Box"), EXCEPTION]
+    assert [clause.local.type for clause in try_.catches] == [ClassType("Box"), EXCEPTION]
     message = call('Exception e = new Exception("a"); e.message();', tree.LibraryCall)
     assert (message.operation, message.type) == ("exc_message", STRING)
 
@@ -206,9 +206,9 @@ def test_lengths_of_arrays_and_strings() -> None:
 
 
 def test_new_array_has_its_complete_type() -> None:
-    made = call("int[][] a; a = new int[2][];", tree.Assign).value
-    assert isinstance(made, tree.NewArray)
-    assert (made.type, len(made.lengths)) == (array_of(array_of(INT)), 1)
+    allocation = call("int[][] a; a = new int[2][];", tree.Assign).value
+    assert isinstance(allocation, tree.NewArray)
+    assert (allocation.type, len(allocation.lengths)) == (array_of(array_of(INT)), 1)
 
 
 def test_this_of_a_resource_has_a_plain_type() -> None:
@@ -226,8 +226,8 @@ ARM = "resource Arm { init(string[] arg) { } portal lift(real m) emit real { ret
 
 def boss(statements: str, before: str = "") -> list[tree.Stmt]:
     """The statements of a coordinator with an arm."""
-    known = f'Arm arm = findArm("a"); real x; real[] a = new real[3]; {before}'
-    text = f"{ARM} coordinator Boss {{ init(string[] arg) {{ {known} {statements} }} }}"
+    declarations = f'Arm arm = findArm("a"); real x; real[] a = new real[3]; {before}'
+    text = f"{ARM} coordinator Boss {{ init(string[] arg) {{ {declarations} {statements} }} }}"
     checked = check_text(text, capabilities=CAPABILITIES).or_raise()
     (init,) = next(unit for unit in checked.units if unit.name == "Boss").methods
     return init.body
@@ -237,44 +237,44 @@ def test_together_starts_its_calls() -> None:
     calls = "x = arm.lift(1); if (i > 2) a[i + 1] = arm.lift(2); arm.stop(); print(1);"
     block = boss(f"together {{ {calls} }}", "int i = 1;")[-1]
     assert isinstance(block, tree.Together)
-    first, choice, last, printed = block.body
+    first, branch, stop, printed = block.body
     assert isinstance(first, tree.StartCall)
     assert isinstance(first.call, tree.PortalCall)
     assert isinstance(first.call.arguments[0], tree.ToReal)
     assert isinstance(first.target, tree.LocalGet)
     assert first.target.local.name == "x"
-    assert isinstance(choice, tree.If)
-    (second,) = choice.then
+    assert isinstance(branch, tree.If)
+    (second,) = branch.then
     assert isinstance(second, tree.StartCall)
     assert isinstance(second.target, tree.Element)
     assert isinstance(second.target.index, tree.Binary)
-    assert isinstance(last, tree.StartCall)
-    assert last.target is None
+    assert isinstance(stop, tree.StartCall)
+    assert stop.target is None
     assert isinstance(printed, tree.Evaluate)
 
 
 def test_nested_together_starts_its_own_calls() -> None:
     outer = boss("together { arm.stop(); try { together { x = arm.lift(1); } } finally { print(1); } }")[-1]
     assert isinstance(outer, tree.Together)
-    begun, attempt = outer.body
-    assert isinstance(begun, tree.StartCall)
-    assert isinstance(attempt, tree.Try)
-    (inner,) = attempt.body
+    first, try_ = outer.body
+    assert isinstance(first, tree.StartCall)
+    assert isinstance(try_, tree.Try)
+    (inner,) = try_.body
     assert isinstance(inner, tree.Together)
     assert isinstance(inner.body[0], tree.StartCall)
     assert isinstance(inner.body[0].target, tree.LocalGet)
 
 
 def test_together_starts_portals_of_offers_and_not_their_own_methods() -> None:
-    offers = "Lift[] who = findLift();"
+    offers = "Lift[] lifts = findLift();"
     portal = "portal lift(real height) emit real { return height; } portal stop() { }"
     crane = f"resource Crane {{ init(string[] arg) {{ }} {portal} }}"
-    text = "together { h = who[0].lift(2); who[1].stop(); print(who[0].score()); who[0].way(); }"
+    text = "together { h = lifts[0].lift(2); lifts[1].stop(); print(lifts[0].score()); lifts[0].way(); }"
     init = f"coordinator Boss {{ init(string[] arg) {{ {offers} real h; {text} }} }}"
     units = check_text(f"{crane} {init}", capabilities=CAPABILITIES).or_raise().units
     block = next(unit for unit in units if unit.name == "Boss").methods[0].body[-1]
     assert isinstance(block, tree.Together)
-    kinds = [type(one) for one in block.body]
+    kinds = [type(statement) for statement in block.body]
     assert kinds == [tree.StartCall, tree.StartCall, tree.Evaluate, tree.Evaluate]
     first = block.body[0]
     assert isinstance(first, tree.StartCall)
@@ -286,9 +286,9 @@ def test_within_has_its_seconds_as_a_real() -> None:
     (block,) = boss("within (2) { arm.stop(); }")[-1:]
     assert isinstance(block, tree.Within)
     assert isinstance(block.seconds, tree.ToReal)
-    (call_,) = block.body
-    assert isinstance(call_, tree.Evaluate)
-    assert isinstance(call_.value, tree.PortalCall)
+    (statement,) = block.body
+    assert isinstance(statement, tree.Evaluate)
+    assert isinstance(statement.value, tree.PortalCall)
 
 
 def test_finally_is_the_last_part_of_its_try() -> None:

@@ -42,21 +42,21 @@ def test_hash_depends_on_the_content_and_not_on_the_notation() -> None:
     plain = deployment("//Arm:a@x?1&2\n//Boss:b@y\n").hash
     assert len(plain) == 64
     assert deployment("# team\n\n  pitp://Arm:a@x:9000?%31&2   # first\nBoss:b@y").hash == plain
-    for other in ("//Boss:b@y\n//Arm:a@x?1&2", "//Arm:a@x?1\n//Boss:b@y", "//Arm:a@y?1&2\n//Boss:b@y"):
-        assert deployment(other).hash != plain
+    for different in ("//Boss:b@y\n//Arm:a@x?1&2", "//Arm:a@x?1\n//Boss:b@y", "//Arm:a@y?1&2\n//Boss:b@y"):
+        assert deployment(different).hash != plain
     assert deployment("//Arm:a@x?12").hash != deployment("//Arm:a@x?1&2").hash
 
 
 def test_witnesses_come_last_and_count_for_the_hash() -> None:
-    said = deployment("//@w\n//Arm:a@x\n//@v:9\n//Boss:b@y\n")
-    assert said.hosts == ("x", "y", "w", "v")
-    assert said.hash == deployment("//Arm:a@x\n//Boss:b@y\n@w\n//@v").hash
-    for other in (
+    mixed = deployment("//@w\n//Arm:a@x\n//@v:9\n//Boss:b@y\n")
+    assert mixed.hosts == ("x", "y", "w", "v")
+    assert mixed.hash == deployment("//Arm:a@x\n//Boss:b@y\n@w\n//@v").hash
+    for different in (
         "//Arm:a@x\n//Boss:b@y\n//@v\n//@w",
         "//Arm:a@x\n//Boss:b@y\n//@w",
         "//Arm:a@x\n//Boss:b@y",
     ):
-        assert deployment(other).hash != said.hash
+        assert deployment(different).hash != mixed.hash
 
 
 def test_deployment_of_witnesses_only_is_refused() -> None:
@@ -89,7 +89,7 @@ def test_caret_is_below_the_wrong_part() -> None:
 
 def test_missing_deployment_file_is_an_input_file_error(tmp_path: Path) -> None:
     with pytest.raises(InputFileError):
-        read_deployment(tmp_path / "nobody.dL", UNITS)
+        read_deployment(tmp_path / "missing.dL", UNITS)
 
 
 SIX = "//Arm:a@alpha\n//Arm:b@bravo\n//Arm:c@chrlie\n//Arm:d@zulu\n//Arm:e@port\n//Arm:f@post\n"
@@ -99,7 +99,7 @@ SIX = "//Arm:a@alpha\n//Arm:b@bravo\n//Arm:c@chrlie\n//Arm:d@zulu\n//Arm:e@port\
     ("inventory", "unknown"),
     [
         ((), []),
-        # An inventory of another team.
+        # No host of the deployment is in this inventory: it belongs to another team.
         (("xray", "yankee"), []),
         (("alpha", "bravo", "charlie", "port", "post"), ["chrlie", "zulu"]),
         (("alpha", "bravo", "chrlie", "zulu", "port", "post"), []),

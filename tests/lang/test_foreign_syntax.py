@@ -1,8 +1,8 @@
-"""Syntax of Python, C++, Java and ROS: each gets an error with a hint for L.
+"""Syntax of Python, C++, Java and ROS: each snippet gets an error with a hint for L.
 
 `cases.txt` has the snippets, `findings.txt` the report for each: place, code, sentence and hint.
-`python tests/lang/test_foreign_syntax.py` rewrites the latter. `suggestions.txt` has each hint that shows
-L, with its L in backticks and snippets that apply it: they compile.
+`python tests/lang/test_foreign_syntax.py` rewrites `findings.txt`. `suggestions.txt` has each hint that
+contains L, with its L in backticks, and snippets that apply the hint: they compile.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ DEPTHS = {"unit": 0, "member": 4, "statement": 8, "coordinator": 8}
 
 
 def blocks(name: str) -> list[str]:
-    """Each line with the indented lines after it."""
+    """The blocks of a file: a line with the indented lines that follow."""
     return re.split(r"\n(?! )", (FOLDER / name).read_text(encoding="utf-8").rstrip("\n"))
 
 
@@ -59,7 +59,7 @@ def findings(case: str) -> list[Diagnostic]:
     return check_text(PROGRAM.format(**parts), str(FOLDER / "program.L")).diagnostics
 
 
-def described(case: str) -> str:
+def report_of(case: str) -> str:
     lines = [case]
     for found in findings(case):
         place = f"{found.span.line}:{found.span.column}"
@@ -72,7 +72,7 @@ GOLDEN = dict(zip(cases(), blocks("findings.txt"), strict=True)) if __name__ != 
 
 @pytest.mark.parametrize("case", cases())
 def test_findings_equal_the_golden_file(case: str) -> None:
-    assert described(case) == GOLDEN[case]
+    assert report_of(case) == GOLDEN[case]
 
 
 @pytest.mark.parametrize("case", cases())
@@ -99,10 +99,10 @@ def pattern(code: str) -> re.Pattern[str]:
 
 
 def test_every_hint_with_l_has_a_snippet() -> None:
-    shown = {
+    hints_with_l = {
         found.hint for case in cases() for found in findings(case) if re.search(r"[][(){}=|<]|&&", found.hint)
     }
-    assert sorted(shown - {hint.replace("`", "") for hint in suggestions()}) == []
+    assert sorted(hints_with_l - {hint.replace("`", "") for hint in suggestions()}) == []
 
 
 def test_every_suggestion_is_a_hint_of_a_case() -> None:
@@ -119,12 +119,12 @@ def test_suggested_l_compiles(hint: str) -> None:
 
 
 if __name__ == "__main__":
-    (FOLDER / "findings.txt").write_text("\n".join(map(described, cases())) + "\n", encoding="utf-8")
+    (FOLDER / "findings.txt").write_text("\n".join(map(report_of, cases())) + "\n", encoding="utf-8")
 
 
 @pytest.mark.parametrize(
     "ending", ["while x", "if x and y", "for x in y", "elif x", "for (auto x :", "f((", "f ("]
 )
 def test_program_that_ends_in_a_statement_head_is_read_to_its_end(ending: str) -> None:
-    """Without a line break behind it."""
+    """The text has no line break at its end."""
     assert check_text(f"coordinator A {{ init(string[] arg) {{ {ending}", "m.L").diagnostics

@@ -1,4 +1,4 @@
-"""For any text, the front end neither raises, hangs nor accepts an incomplete tree."""
+"""For any text, the front end raises no exception, ends, and accepts no incomplete tree."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ LENIENT = settings(max_examples=30, deadline=None, suppress_health_check=[Health
 
 
 def assert_sound(checked: CheckResult) -> None:
-    """A program exists exactly without errors, and then every type in it is known."""
+    """There is a program if and only if there is no error; every type in the program is known."""
     assert (checked.program is None) == bool(checked.errors)
     for diagnostic in checked.diagnostics:
         assert diagnostic.render()
@@ -83,8 +83,8 @@ def mutated_programs(draw: st.DrawFn) -> str:
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(text)))
         end = min(len(text), start + draw(st.sampled_from([0, 1, 5, 40])))
-        put = draw(st.one_of(st.sampled_from(PIECES), st.just(""), st.just(text[start:end] * 2)))
-        text = text[:start] + put + text[end:]
+        insertion = draw(st.one_of(st.sampled_from(PIECES), st.just(""), st.just(text[start:end] * 2)))
+        text = text[:start] + insertion + text[end:]
     return text
 
 
@@ -141,31 +141,31 @@ def test_tokens_cover_the_text(text: str) -> None:
 
 def test_deep_nesting_is_an_error() -> None:
     depth = 5_000
-    inits = ["x = " + "(" * depth, "{" * depth, "if (true) " * depth, "x = " + "-" * 3 + "!" * depth + "x;"]
-    inits += [
+    bodies = ["x = " + "(" * depth, "{" * depth, "if (true) " * depth, "x = " + "-" * 3 + "!" * depth + "x;"]
+    bodies += [
         "x = " + "1 + (" * depth + "1;",
         "x" + ".y(x" * depth + ";",
         "x = " * depth + "1;",
         "f(" * depth,
     ]
-    inits += ["x" + "[0" * depth, "if (x) y(); else { " * depth, "new A(" * depth]
-    inits += [
+    bodies += ["x" + "[0" * depth, "if (x) y(); else { " * depth, "new A(" * depth]
+    bodies += [
         "int" + "[]" * depth + " x;",
         "x = new int" + "[1]" * depth + ";",
         "try " * depth,
         "x ? " * depth,
     ]
-    inits += ["together { " * depth, "within (1) { " * depth, "try { } finally { " * depth]
-    for text in inits:
+    bodies += ["together { " * depth, "within (1) { " * depth, "try { } finally { " * depth]
+    for text in bodies:
         checked = check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}")
         assert "L211" in {d.code for d in checked.diagnostics}, text[:40]
 
 
 def test_long_chain_with_errors_is_no_deep_nesting() -> None:
     length = 5_000
-    inits = ["x = " + "1 + " * length + "1;", "x" + ".y" * length + ";", "x" + "[0]" * length + ";"]
-    inits += ["if (x) y(); " + "else if (x) y(); " * length, "x" + ".y()" * length + ";"]
-    for text in inits:
+    bodies = ["x = " + "1 + " * length + "1;", "x" + ".y" * length + ";", "x" + "[0]" * length + ";"]
+    bodies += ["if (x) y(); " + "else if (x) y(); " * length, "x" + ".y()" * length + ";"]
+    for text in bodies:
         checked = check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}")
         assert "L211" not in {d.code for d in checked.diagnostics}, text[:40]
         assert "L301" in {d.code for d in checked.diagnostics}, text[:40]

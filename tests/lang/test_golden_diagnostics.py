@@ -1,4 +1,4 @@
-"""Golden programs: every message of the table at its place, and nothing else."""
+"""Golden programs: each has exactly the expected diagnostics, and every message of the table occurs."""
 
 from pathlib import Path
 
@@ -41,10 +41,12 @@ def test_deployment_and_program_have_exactly_the_expected_diagnostics(path: Path
     assert program is not None
     found = argument_findings(program.units, read_deployment(path, None))
     for file in (path, path.with_suffix(".L")):
-        assert_exactly(file, [one for one in found if Path(one.span.source.name).suffix == file.suffix])
+        assert_exactly(
+            file, [finding for finding in found if Path(finding.span.source.name).suffix == file.suffix]
+        )
 
 
-def test_every_code_has_a_golden_file_of_its_name() -> None:
+def test_every_code_has_a_golden_file_named_after_it() -> None:
     tested = {path.stem[:4] for path in (*PROGRAMS, *DEPLOYMENTS, *MISSIONS)}
     assert tested == set(TABLE)
     for path in (*PROGRAMS, *DEPLOYMENTS, *MISSIONS):

@@ -32,22 +32,22 @@ def test_error_is_rendered_in_its_own_file(tmp_path: Path) -> None:
     assert found.span.source.name.endswith("box.L")
 
 
-def test_missing_file_does_not_make_its_types_unknown(tmp_path: Path) -> None:
+def test_missing_include_is_the_only_error(tmp_path: Path) -> None:
     write(tmp_path, {"main.L": MAIN})
     assert [d.code for d in check_file(tmp_path / "main.L").diagnostics] == ["L601"]
 
 
-def test_library_includes_are_found_by_the_caller(tmp_path: Path) -> None:
+def test_library_includes_are_resolved_by_the_callback(tmp_path: Path) -> None:
     write(tmp_path, {"driver/rover.L": "class Box { }"})
     text = MAIN.replace('"parts/box.L"', "<rover/box.L>")
-    asked: list[str] = []
+    requested: list[str] = []
 
     def find(path: str) -> Path:
-        asked.append(path)
+        requested.append(path)
         return tmp_path / "driver" / "rover.L"
 
     assert check_text(text, find_include=find).program is not None
-    assert asked == ["rover/box.L"]
+    assert requested == ["rover/box.L"]
 
 
 def test_byte_order_mark_is_skipped(tmp_path: Path) -> None:
@@ -62,13 +62,13 @@ def test_included_file_that_is_not_utf8_is_an_error(tmp_path: Path) -> None:
     assert (found.code, found.span.line) == ("L605", 2)
 
 
-@pytest.mark.parametrize("name", ["nobody.L", ".", "a\0b"])
+@pytest.mark.parametrize("name", ["missing.L", ".", "a\0b"])
 def test_unreadable_main_file_is_an_input_file_error(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputFileError):
         check_file(tmp_path / name)
 
 
-def test_or_raise_carries_the_errors() -> None:
+def test_program_error_has_all_errors() -> None:
     with pytest.raises(ProgramError) as caught:
         check_text("resource Arm { }").or_raise()
     assert [d.code for d in caught.value.diagnostics] == ["L311"]

@@ -1,4 +1,4 @@
-"""Hints that list names stay short for any number of names."""
+"""Hints list a limited number of names."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_unknown_instruction_gets_similar_names() -> None:
     assert (found.code, found.hint) == ("L305", "similar names: goTo and goToGlobal")
 
 
-def test_without_similar_names_the_first_are_listed() -> None:
+def test_unknown_instruction_without_similar_names_gets_the_first_names() -> None:
     found = finding("w.zz();")
     assert (found.code, found.hint) == ("L305", f"it has {', '.join(NAMES[:8])}, ...")
 

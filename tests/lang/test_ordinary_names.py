@@ -1,4 +1,4 @@
-"""Words of other languages, and soft keywords, are ordinary names where a name is allowed."""
+"""Words of other languages and soft keywords are valid names where the grammar has a name."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from lfield.lang.language_library import FUNCTIONS
 from lfield.lang.parser.foreign import foreign_words
 from lfield.lang.scanner import KEYWORDS
 
-LIKE_KEYWORDS = [
+SIMILAR_TO_KEYWORDS = [
     "Report",
     "report",
     "specific",
@@ -23,7 +23,7 @@ LIKE_KEYWORDS = [
     "reserve",
     "finally",
 ]
-HABITS = [
+FOREIGN_WORDS = [
     *foreign_words.FOREIGN_TYPES,
     *foreign_words.FOREIGN_VALUES,
     *foreign_words.FOREIGN_FUNCTIONS,
@@ -33,7 +33,7 @@ HABITS = [
     "extends",
     "System",
 ]
-WORDS = sorted({*LIKE_KEYWORDS, *HABITS} - KEYWORDS - {f.name for f in FUNCTIONS})
+WORDS = sorted({*SIMILAR_TO_KEYWORDS, *FOREIGN_WORDS} - KEYWORDS - {f.name for f in FUNCTIONS})
 
 MEMBERS = """
 resource Arm {
@@ -67,14 +67,14 @@ class WORD {
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_word_as_a_field_method_portal_and_local(word: str) -> None:
+def test_word_is_a_valid_name_of_fields_methods_portals_and_locals(word: str) -> None:
     assert [d.render() for d in check_text(MEMBERS.replace("WORD", word)).diagnostics] == []
 
 
 @pytest.mark.parametrize(
-    "word", sorted({*LIKE_KEYWORDS, *foreign_words.FOREIGN_TYPES, *foreign_words.FOREIGN_VALUES})
+    "word", sorted({*SIMILAR_TO_KEYWORDS, *foreign_words.FOREIGN_TYPES, *foreign_words.FOREIGN_VALUES})
 )
-def test_word_as_a_class(word: str) -> None:
+def test_word_is_a_valid_name_of_a_class(word: str) -> None:
     assert [d.render() for d in check_text(UNITS.replace("WORD", word)).diagnostics] == []
 
 
@@ -131,5 +131,5 @@ resource Machine {
 
 
 @pytest.mark.parametrize("word", ["together", "within", "reserve", "finally"])
-def test_soft_keyword_is_a_name_without_a_block(word: str) -> None:
+def test_soft_keyword_without_a_block_is_a_name(word: str) -> None:
     assert [d.render() for d in check_text(STATEMENTS.replace("WORD", word)).diagnostics] == []

@@ -1,4 +1,4 @@
-"""The golden programs of constants, enums, functions and parameters find the planted bugs."""
+"""The golden programs of constants, enums, functions and parameters detect the planted bugs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every production of appendix A: a program that uses it and compiles, or the error and its reason.
+"""Every production of appendix A: a program that uses it compiles, or it has the listed error.
 
 Misprints are read as the programs of appendices C to E require: `;` after `return` and `throw`, a comma
 between parameters and between arguments, any number of variables, names and texts as expressions.
@@ -135,7 +135,7 @@ PRODUCTIONS: dict[str, list[str]] = {
     "STATEMENT_X_CATCH_LIST": [statements("try { } catch (Node x) { } catch (Exception e) { }")],
     "STATEMENT_CATCH": [statements("try { f(); } catch (Node x) { n = x.n; }")],
 }
-#: Features that object-based languages of chapter III lack, and L too; the error is L217.
+#: Features that L lacks, like the other object-based languages of chapter III; the error is L217.
 ABSENT = {
     "inheritance": "class K extends M { } class M { }",
     "interfaces": "interface K { }",
@@ -152,7 +152,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "a statement without effect": (statements("n + 1;"), "L413"),
 }
 #: The reserved words of the appendix, and those that L adds.
-WORDS = (
+RESERVED_WORDS = (
     *(
         "boolean",
         "catch",
@@ -169,12 +169,14 @@ WORDS = (
     ),
     *("portal", "private", "public", "real", "resource", "return", "string", "throw", "true", "try", "while"),
 )
-ADDED = ("break", "continue", "for", "include", "synchronized", "this", "void")
+RESERVED_BY_L = ("break", "continue", "for", "include", "synchronized", "this", "void")
 
 
 def errors(text: str) -> list[str]:
     """The codes of the errors of a program."""
-    return [each.code for each in check_text(text, "grammar.L").diagnostics if each.severity == "error"]
+    return [
+        finding.code for finding in check_text(text, "grammar.L").diagnostics if finding.severity == "error"
+    ]
 
 
 @pytest.mark.parametrize("production", PRODUCTIONS)
@@ -183,9 +185,9 @@ def test_production_compiles(production: str) -> None:
         assert errors(text) == [], text
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_refused_construct_has_its_error(what: str) -> None:
-    text, code = REFUSED[what]
+@pytest.mark.parametrize("construct", REFUSED)
+def test_refused_construct_has_its_error(construct: str) -> None:
+    text, code = REFUSED[construct]
     assert errors(text)[0] == code
 
 
@@ -193,15 +195,15 @@ def test_program_without_units_is_permitted() -> None:
     assert errors("// nothing yet\n") == []
 
 
-@pytest.mark.parametrize("what", ABSENT)
-def test_absent_feature_is_an_error(what: str) -> None:
-    assert errors(ABSENT[what])[0] == "L217"
+@pytest.mark.parametrize("feature", ABSENT)
+def test_absent_feature_is_an_error(feature: str) -> None:
+    assert errors(ABSENT[feature])[0] == "L217"
 
 
-@pytest.mark.parametrize("word", [*WORDS, *ADDED])
+@pytest.mark.parametrize("word", [*RESERVED_WORDS, *RESERVED_BY_L])
 def test_reserved_word_is_no_name(word: str) -> None:
     assert errors(class_of(f"public int {word};")) == ["L204"]
 
 
 def test_no_other_word_is_reserved() -> None:
-    assert {*WORDS, *ADDED} == set(KEYWORDS)
+    assert {*RESERVED_WORDS, *RESERVED_BY_L} == set(KEYWORDS)

@@ -1,17 +1,15 @@
-"""The unit of the permanent service: systemd loads it, its rights are limited, and a crash ends no host."""
+"""The unit of the permanent service: systemd loads it, its exposure is low, and a crash ends no host."""
 
 from __future__ import annotations
 
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
 from lfield.provision.robot_facts import CURRENT, SETTINGS
 
-UNIT = Path(__file__).parents[2] / "deploy" / "lfield.service"
 #: Upper bound of the exposure level of `systemd-analyze security`.
 MAX_EXPOSURE = 2.5
 
@@ -20,33 +18,23 @@ needs_analyze = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(scope="module")
-def settings() -> dict[str, list[str]]:
-    """The values of every key, in their order."""
-    found: dict[str, list[str]] = {}
-    for line in UNIT.read_text(encoding="utf-8").splitlines():
-        if match := re.fullmatch(r"([A-Za-z]+)=(.*)", line):
-            found.setdefault(match[1], []).append(match[2])
-    return found
-
-
 def analyze(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = ["systemd-analyze", "--no-pager", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 @needs_analyze
-def test_systemd_loads_the_service_unit(tmp_path):
+def test_systemd_loads_the_service_unit(unit, tmp_path):
     """The unit names an existing program, because `verify` reports a missing one."""
-    text = UNIT.read_text(encoding="utf-8").replace(f"{CURRENT}/bin/lfield", "/bin/true")
-    (tmp_path / UNIT.name).write_text(text, encoding="utf-8")
-    done = analyze("verify", tmp_path / UNIT.name)
+    text = unit.read_text(encoding="utf-8").replace(f"{CURRENT}/bin/lfield", "/bin/true")
+    (tmp_path / unit.name).write_text(text, encoding="utf-8")
+    done = analyze("verify", tmp_path / unit.name)
     assert (done.returncode, done.stderr) == (0, "")
 
 
 @needs_analyze
-def test_service_unit_has_low_exposure():
-    done = analyze("security", "--offline=yes", UNIT)
+def test_service_unit_has_low_exposure(unit):
+    done = analyze("security", "--offline=yes", unit)
     (level,) = re.findall(r"exposure level for .*: ([0-9.]+) ", done.stdout)
     print(f"systemd-analyze security: {level}")
     assert float(level) < MAX_EXPOSURE

@@ -36,7 +36,7 @@ WHEELS = (
     Wheel("cryptography-50.0.2-cp311-abi3-manylinux_2_28_aarch64.whl", "b" * 64, BATCH),
     Wheel(OWN.name, "c" * 64, 900_000),
 )
-BROUGHT = StandalonePython("3.12.9", Path("/desk/python.tar.gz"), "d" * 64, 20_000_000)
+STANDALONE_PYTHON = StandalonePython("3.12.9", Path("/desk/python.tar.gz"), "d" * 64, 20_000_000)
 ROBOT = RobotFacts(
     time=1000.0,
     arch="aarch64",
@@ -65,18 +65,18 @@ def installation(python: StandalonePython | None = None, version: str = "0.4.0")
     )
 
 
-def provisioned(facts: RobotFacts, made: Installation) -> RobotFacts:
+def provisioned(facts: RobotFacts, wanted: Installation) -> RobotFacts:
     """The facts after all steps."""
-    files = (*made.settings, *made.keys, made.unit)
+    files = (*wanted.settings, *wanted.keys, wanted.unit)
     return replace(
         facts,
-        service_groups=frozenset({"lfield"}) | made.groups,
+        service_groups=frozenset({"lfield"}) | wanted.groups,
         member_of=facts.member_of | {"lfield"},
-        wheels={wheel.file: wheel.sha256 for wheel in made.payload.wheels},
-        versions=facts.versions | {made.payload.environment},
-        current=made.payload.environment,
-        started=made.configuration,
-        standalone=frozenset({made.payload.python.version} if made.payload.python else ()),
+        wheels={wheel.file: wheel.sha256 for wheel in wanted.payload.wheels},
+        versions=facts.versions | {wanted.payload.environment},
+        current=wanted.payload.environment,
+        started=wanted.configuration,
+        standalone=frozenset({wanted.payload.python.version} if wanted.payload.python else ()),
         files={file.path: file.sha256 for file in files},
         modes={file.path: file.access for file in files},
         has_private_keys_folder=True,
@@ -97,8 +97,8 @@ def test_bare_robot_needs_every_step():
 
 
 def test_provisioned_robot_needs_no_step():
-    made = installation()
-    assert set(states(plan(provisioned(ROBOT, made), "pi", made)).values()) == {"done"}
+    wanted = installation()
+    assert set(states(plan(provisioned(ROBOT, wanted), "pi", wanted)).values()) == {"done"}
 
 
 def test_wheels_are_sent_once_in_bounded_batches():
@@ -118,42 +118,42 @@ def test_wheels_are_sent_once_in_bounded_batches():
 
 
 def test_environment_name_depends_on_its_wheels():
-    made = installation()
-    assert made.payload.environment.startswith("0.4.0-")
-    other = replace(made.payload, wheels=(replace(WHEELS[0], sha256="e" * 64), *WHEELS[1:]))
-    assert other.environment != made.payload.environment
+    wanted = installation()
+    assert wanted.payload.environment.startswith("0.4.0-")
+    other = replace(wanted.payload, wheels=(replace(WHEELS[0], sha256="e" * 64), *WHEELS[1:]))
+    assert other.environment != wanted.payload.environment
 
 
 @pytest.mark.parametrize(
     ("change", "todo"),
     [
-        (lambda facts, made: {"files": {**facts.files, made.unit.path: "other"}}, {"unit", "service"}),
+        (lambda facts, wanted: {"files": {**facts.files, wanted.unit.path: "other"}}, {"unit", "service"}),
         (
-            lambda facts, made: {"modes": {**facts.modes, made.keys[1].path: "644:root:root"}},
+            lambda facts, wanted: {"modes": {**facts.modes, wanted.keys[1].path: "644:root:root"}},
             {"keys", "service"},
         ),
-        (lambda facts, made: {"has_private_keys_folder": False}, {"keys", "service"}),
-        (lambda facts, made: {"current": "0.3.0-0123456789ab"}, {"version", "service"}),
-        (lambda facts, made: {"started": "before"}, {"service"}),
-        (lambda facts, made: {"is_active": False}, {"service"}),
-        (lambda facts, made: {"is_enabled": False}, {"service"}),
-        (lambda facts, made: {"service_groups": frozenset({"lfield", "dialout"})}, {"user"}),
-        (lambda facts, made: {"member_of": frozenset({"pi"})}, {"user"}),
-        (lambda facts, made: {"versions": frozenset()}, {"environment"}),
-        (lambda facts, made: {"versions": frozenset(), "wheels": {}}, {"environment", "wheels"}),
+        (lambda facts, wanted: {"has_private_keys_folder": False}, {"keys", "service"}),
+        (lambda facts, wanted: {"current": "0.3.0-0123456789ab"}, {"version", "service"}),
+        (lambda facts, wanted: {"started": "before"}, {"service"}),
+        (lambda facts, wanted: {"is_active": False}, {"service"}),
+        (lambda facts, wanted: {"is_enabled": False}, {"service"}),
+        (lambda facts, wanted: {"service_groups": frozenset({"lfield", "dialout"})}, {"user"}),
+        (lambda facts, wanted: {"member_of": frozenset({"pi"})}, {"user"}),
+        (lambda facts, wanted: {"versions": frozenset()}, {"environment"}),
+        (lambda facts, wanted: {"versions": frozenset(), "wheels": {}}, {"environment", "wheels"}),
     ],
 )
 def test_only_differences_are_repaired(change, todo):
-    made = installation()
-    facts = provisioned(ROBOT, made)
-    steps = states(plan(replace(facts, **change(facts, made)), "pi", made))
+    wanted = installation()
+    facts = provisioned(ROBOT, wanted)
+    steps = states(plan(replace(facts, **change(facts, wanted)), "pi", wanted))
     assert {name for name, state in steps.items() if state != "done"} == todo
 
 
 def test_changed_configuration_restarts_the_service():
-    made = installation()
-    facts = provisioned(ROBOT, made)
-    other = replace(made, settings=(settings_file("service.env", b"LFIELD_HOST=bravo\n"),))
+    wanted = installation()
+    facts = provisioned(ROBOT, wanted)
+    other = replace(wanted, settings=(settings_file("service.env", b"LFIELD_HOST=bravo\n"),))
     steps = states(plan(facts, "pi", other))
     assert {name for name, state in steps.items() if state == "todo"} == {"settings", "service"}
 
@@ -169,28 +169,30 @@ def test_root_needs_no_group():
 
 
 def test_keys_of_the_robot_stay_without_an_authority():
-    made = installation()
-    without = replace(made, keys=())
-    assert states(plan(provisioned(ROBOT, made), "pi", without))["keys"] == "note"
+    wanted = installation()
+    without = replace(wanted, keys=())
+    assert states(plan(provisioned(ROBOT, wanted), "pi", without))["keys"] == "note"
     assert states(plan(ROBOT, "pi", without)) == {"keys": "refused"}
 
 
 def test_robot_of_another_host_is_replaced_only_by_command():
-    """The inventory has the robot's address under the name of another host."""
-    made = installation()
-    assert states(plan(replace(ROBOT, host="alpha"), "pi", made))["keys"] == "todo"
-    for other in (replace(ROBOT, host="bravo"), replace(provisioned(ROBOT, made), host="bravo")):
-        (refused,) = plan(other, "pi", made)
+    """By mistake the inventory has the address of this robot under the name of another host."""
+    wanted = installation()
+    assert states(plan(replace(ROBOT, host="alpha"), "pi", wanted))["keys"] == "todo"
+    for other in (replace(ROBOT, host="bravo"), replace(provisioned(ROBOT, wanted), host="bravo")):
+        (refused,) = plan(other, "pi", wanted)
         assert (refused.name, refused.state) == ("keys", "refused")
         assert "bravo" in refused.text
         # Without an authority its settings are not overwritten either.
-        assert {step.state for step in plan(other, "pi", replace(made, keys=()))} == {"refused"}
-        assert states(plan(other, "pi", replace(made, takes_over=True)))["keys"] != "refused"
+        assert {step.state for step in plan(other, "pi", replace(wanted, keys=()))} == {"refused"}
+        assert states(plan(other, "pi", replace(wanted, takes_over=True)))["keys"] != "refused"
 
 
 def test_keys_of_another_authority_are_replaced_only_by_command():
-    made = installation()
-    own = replace(made, keys=(*made.keys, *key_files("alpha", [("authority.pem", b"of this team", False)])))
+    wanted = installation()
+    own = replace(
+        wanted, keys=(*wanted.keys, *key_files("alpha", [("authority.pem", b"of this team", False)]))
+    )
     facts = provisioned(ROBOT, own)
     other = replace(facts, files={**facts.files, own.keys[-1].path: "of another team"})
     assert states(plan(other, "pi", own)) == {"keys": "refused"}
@@ -228,9 +230,9 @@ def test_refused_step_leaves_the_robot_unchanged(changes, refused):
 
 
 def test_full_disk_is_accepted_on_a_provisioned_robot():
-    made = installation()
-    facts = replace(provisioned(ROBOT, made), free=0)
-    assert set(states(plan(facts, "pi", made)).values()) == {"done"}
+    wanted = installation()
+    facts = replace(provisioned(ROBOT, wanted), free=0)
+    assert set(states(plan(facts, "pi", wanted)).values()) == {"done"}
 
 
 @pytest.mark.parametrize(
@@ -278,13 +280,13 @@ def test_robot_python_is_used_if_wheels_support_it(versions, path, tag):
 
 def test_standalone_python_is_installed_once():
     facts = replace(ROBOT, pythons=(RobotPython("/usr/bin/python3", (3, 10, 12), True),))
-    made = installation(BROUGHT)
-    first = plan(facts, "pi", made)
+    wanted = installation(STANDALONE_PYTHON)
+    first = plan(facts, "pi", wanted)
     assert first[0].state == "todo"
-    assert first[0].commands[0].uploads[0].source == BROUGHT.archive
+    assert first[0].commands[0].uploads[0].source == STANDALONE_PYTHON.archive
     (command,) = first[NAMES.index("environment")].commands
     assert "/opt/lfield/python/3.12.9/bin/python3" in command.script
-    assert set(states(plan(provisioned(facts, made), "pi", made)).values()) == {"done"}
+    assert set(states(plan(provisioned(facts, wanted), "pi", wanted)).values()) == {"done"}
 
 
 # --- facts --------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
-"""`lfield provision` on robots with a real sshd, real users and sudo; systemctl is a script that records.
+"""`lfield provision` on robots with a real sshd, real users and sudo.
 
-Robots and desk have no route to other networks. Each robot has its own root in memory (robot_bench).
+systemctl is a script that records its calls. Robots and desk have no route to other networks. Each robot
+has its own root in memory (robot_bench).
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ ROOT = Path(__file__).parents[2]
 SIMULATED = ("geographiclib", "lxml", "pymavlink", "pyserial", "wasmtime")
 #: All steps that change a robot.
 STEPS = ["user", "wheels", "environment", "keys", "settings", "unit", "version", "service"]
-#: The login shell of the user prints something before each command.
-TALKATIVE = "printf 'echo WELCOME; printf hi\\n' >/home/pi/.bashrc"
+#: The login shell of the user prints a greeting before the output of each command.
+NOISY_SHELL = "printf 'echo WELCOME; printf hi\\n' >/home/pi/.bashrc"
 SERVICE_ENV = "/etc/lfield/service.env"
 #: A user who may run one command as root.
 PARTIAL_SUDO = "echo 'pi ALL=(root) NOPASSWD: /bin/true, /usr/bin/true' >/etc/sudoers.d/pi"
-#: The service cannot store its state.
-FULL_STATE = "mount -t tmpfs -o size=64k tmpfs /var/lib; head -c 1000000 /dev/zero >/var/lib/x || true"
+#: A full disk under /var/lib, so that the service cannot store its state.
+FULL_STATE_DISK = "mount -t tmpfs -o size=64k tmpfs /var/lib; head -c 1000000 /dev/zero >/var/lib/x || true"
 
 
 @pytest.fixture(scope="module")
 def alpha(trial):
-    """A robot that was bare before its first provisioning, which was interrupted twice (SIGKILL)."""
-    robot = trial.bench.add("alpha", RobotKind(setup=TALKATIVE))
+    """A bare robot after its first provisioning, which was killed at two steps and then completed."""
+    robot = trial.bench.add("alpha", RobotKind(setup=NOISY_SHELL))
     trial.write_inventory(robot)
     dry = trial.provision("--dry-run")
     assert dry.status == exit_status.DONE, dry
@@ -76,23 +77,25 @@ def test_interrupted_provisioning_of_a_bare_robot_is_completed(trial, alpha):
 def test_second_run_changes_nothing(trial, alpha):
     listing = "find /opt/lfield /etc/lfield /etc/systemd/system/lfield.service -printf '%p %T@\\n' | sort"
     before = alpha.run(listing)
-    again = trial.provision()
-    assert again.status == exit_status.DONE
-    assert {step: state for step, state in again.states("alpha").items() if state != "done"} == {}
+    second_run = trial.provision()
+    assert second_run.status == exit_status.DONE
+    assert {step: state for step, state in second_run.states("alpha").items() if state != "done"} == {}
     assert alpha.run(listing) == before
-    (doctor,) = [each for each in again.reports if each["step"] == "doctor" and each["state"] == "done"]
+    (doctor,) = [
+        report for report in second_run.reports if (report["step"], report["state"]) == ("doctor", "done")
+    ]
     assert {finding["code"] for finding in doctor["findings"]} >= {"python"}
 
 
 @pytest.mark.few(0)
-def test_manual_changes_are_repaired_unless_a_mission_runs(trial, alpha):
+def test_manual_changes_are_repaired_only_without_a_running_mission(trial, alpha):
     alpha.path("/tmp/wait.L").write_text(
         "coordinator Wait { init(string[] arg) { while (true) { sleep(1.0); } } }\n"
     )
     alpha.path("/tmp/wait.dL").write_text("//Wait:tom@alpha\n")
     alpha.path("/etc/systemd/system/lfield.service").write_text("[Unit]\n")
     alpha.path(SERVICE_ENV).write_text("LFIELD_HOST=bravo\n")
-    # Runs as the service's user, at an address other than the service would use.
+    # The host runs as the user of the service, at an address that the service does not use.
     alpha.run(
         "cd /tmp; export RUNTIME_DIRECTORY=/run/lfield HOME=/tmp; "
         "runuser -u lfield -- /opt/lfield/current/bin/lfield up --deploy wait.dL --all >up.log 2>&1 & "
@@ -127,7 +130,7 @@ REFUSALS = {
 
 @pytest.mark.few(0)
 def test_missing_requirements_are_reported_with_the_remedy(trial):
-    """No password prompt and no partial installation: each host ends with a remedy."""
+    """There is no password prompt and no partial installation; each host gets a remedy."""
     robots = [
         trial.bench.add(name, kind, is_known=name != "unknown") for name, (kind, *_) in REFUSALS.items()
     ]
@@ -151,18 +154,18 @@ def test_missing_requirements_are_reported_with_the_remedy(trial):
 
 
 @pytest.mark.few(0)
-def test_run_interrupted_at_every_step_is_continued(trial):
-    """The desk is killed at each step, then stopped by Ctrl-C; then one run completes the steps."""
+def test_provisioning_killed_at_every_step_is_continued(trial):
+    """The command is killed at each step, then interrupted by Ctrl-C; the next run completes all steps."""
     robot = trial.bench.add("killed", RobotKind(has_systemd=False))
     trial.write_inventory(robot)
     for step in STEPS[: STEPS.index("environment")]:
         trial.kill_at(step)
-    # All processes of the robot end while pip runs, as in a restart.
+    # All processes of the robot are killed while pip runs, as by a reboot.
     restart = "until pgrep -f '[p]ip-.*whl/pip'; do sleep 0.05; done; kill -9 -1; true"
-    lost = trial.provision_until(
+    report = trial.provision_until(
         "environment", lambda process: robot.run(restart), signum=exit_status.UNAVAILABLE
     )
-    assert lost["step"] == "failed"
+    assert report["step"] == "failed"
     for step in STEPS[STEPS.index("environment") : -1]:
         trial.kill_at(step)
     trial.provision_until(
@@ -170,8 +173,8 @@ def test_run_interrupted_at_every_step_is_continued(trial):
     )
     done = trial.provision()
     assert done.status == exit_status.DONE, done
-    again = trial.provision("--dry-run")
-    assert set(again.states(robot.name).values()) <= {"done", "note"}
+    second_run = trial.provision("--dry-run")
+    assert set(second_run.states(robot.name).values()) <= {"done", "note"}
 
 
 @pytest.mark.few(0)
@@ -203,9 +206,9 @@ def test_five_robots_are_provisioned_in_parallel(trial):
 def test_disk_that_fills_during_the_run_is_reported(trial):
     robot = trial.bench.add("filling", RobotKind(opt_size="200m"))
     trial.write_inventory(robot)
-    leave = "fallocate -l $(($(stat -f -c '%a*%S' /opt) - 8000000)) /opt/ballast"
+    fill_disk = "fallocate -l $(($(stat -f -c '%a*%S' /opt) - 8000000)) /opt/ballast"
     full = trial.provision_until(
-        "environment", lambda process: robot.run(leave), signum=exit_status.UNAVAILABLE
+        "environment", lambda process: robot.run(fill_disk), signum=exit_status.UNAVAILABLE
     )
     assert "free disk space" in str(full["hint"])
     robot.path("/opt/ballast").unlink()
@@ -214,8 +217,8 @@ def test_disk_that_fills_during_the_run_is_reported(trial):
 
 @pytest.mark.few(0)
 def test_service_that_ends_at_once_is_reported(trial):
-    """Doctor does not need the service, and the unit restarts it repeatedly."""
-    robot = trial.bench.add("crashing", RobotKind(setup=FULL_STATE))
+    """`lfield doctor` succeeds without the service, and systemd restarts the service repeatedly."""
+    robot = trial.bench.add("crashing", RobotKind(setup=FULL_STATE_DISK))
     trial.write_inventory(robot)
     done = trial.provision()
     assert done.status == exit_status.UNAVAILABLE
@@ -226,7 +229,7 @@ def test_service_that_ends_at_once_is_reported(trial):
 
 @pytest.mark.few(0)
 def test_four_commands_deploy_and_start_a_team_on_bare_robots(trial, wheels, tmp_path):
-    """With simulated devices on the robots; the wheels of all drivers are those of this environment."""
+    """The devices on the robots are simulated; the wheels of the drivers are built from this environment."""
     robots = [trial.bench.add(name) for name in ("alpha2", "bravo2")]
     desk = Desk(tmp_path)
     simulated = "    options: [--sim]\n"

@@ -57,19 +57,19 @@ def test_sudo_with_a_password_names_the_missing_line():
     error = access_error("alpha", ALPHA, LoginAccess("pi", 1000, "password"))
     assert "pi ALL=(root) NOPASSWD: ALL" in error.advice
     assert "ssh -t -p 2222 pi@10.0.0.11" in error.advice
-    terminal = access_error("alpha", ALPHA, LoginAccess("pi", 1000, "tty")).advice
-    assert "Defaults:pi !requiretty" in terminal
-    assert "NOPASSWD" not in terminal
+    advice = access_error("alpha", ALPHA, LoginAccess("pi", 1000, "tty")).advice
+    assert "Defaults:pi !requiretty" in advice
+    assert "NOPASSWD" not in advice
     assert "user: root" in access_error("alpha", ALPHA, LoginAccess("pi", 1000, "missing")).advice
 
 
-@pytest.mark.parametrize("noise", ["", "WELCOME\n", "hi", "WELCOME\nhi"])
-def test_output_of_the_login_shell_is_separated(noise):
-    assert command_output(f"{noise}lfield-provision-output\nuser\tpi\n") == "user\tpi\n"
-    assert command_output(f"{noise}lfield-provision-output\n") == ""
+@pytest.mark.parametrize("greeting", ["", "WELCOME\n", "hi", "WELCOME\nhi"])
+def test_login_shell_output_is_removed_from_the_command_output(greeting):
+    assert command_output(f"{greeting}lfield-provision-output\nuser\tpi\n") == "user\tpi\n"
+    assert command_output(f"{greeting}lfield-provision-output\n") == ""
 
 
-def test_concurrent_provisioning_is_named():
+def test_concurrent_provisioning_is_reported():
     assert "another provision" in command_error("alpha", "wheels", BUSY, "").reason
 
 

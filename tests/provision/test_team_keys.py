@@ -1,4 +1,4 @@
-"""The keys of hosts as provision installs them."""
+"""The keys of hosts that `lfield provision` installs."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_keys_are_renewed_before_and_after_their_expiry(authority):
         assert renewed["host.key"] == first["host.key"]
 
 
-def test_revoked_keys_are_not_replaced_silently(authority):
+def test_revoked_keys_are_an_error_and_not_replaced(authority):
     team_keys(authority, ["alpha"], NOW)
     with open_ledger(authority) as ledger:
         ledger.revoke("host", "alpha", NOW)
@@ -71,24 +71,24 @@ def test_revocation_list_is_installed_with_the_keys(authority):
     assert files(team_keys(authority, ["alpha"], NOW)["alpha"])["revoked.crl"] != first["revoked.crl"]
 
 
-def test_private_key_stored_only_on_the_robot_stays(authority):
-    whole = team_keys(authority, ["alpha"], NOW)["alpha"]
+def test_private_key_that_is_only_on_the_robot_is_kept(authority):
+    all_keys = team_keys(authority, ["alpha"], NOW)["alpha"]
     (authority / "hosts/alpha/host.key").unlink()
-    rest = team_keys(authority, ["alpha"], NOW)["alpha"]
-    assert set(files(rest)) == set(files(whole)) - {"host.key"}
-    assert not needs_new_key(robot_with(whole), rest)
-    assert needs_new_key(FACTS, rest)
-    assert not needs_new_key(FACTS, whole)
+    without_private_key = team_keys(authority, ["alpha"], NOW)["alpha"]
+    assert set(files(without_private_key)) == set(files(all_keys)) - {"host.key"}
+    assert not needs_new_key(robot_with(all_keys), without_private_key)
+    assert needs_new_key(FACTS, without_private_key)
+    assert not needs_new_key(FACTS, all_keys)
     assert not needs_new_key(FACTS, ())
-    made = replaced_keys(authority, "alpha", NOW + 1)
-    assert files(made)["host.key"] != files(whole)["host.key"]
+    new_keys = replaced_keys(authority, "alpha", NOW + 1)
+    assert files(new_keys)["host.key"] != files(all_keys)["host.key"]
 
 
 def test_dry_run_creates_no_keys(authority):
     planned = planned_keys(authority, ["alpha"])["alpha"]
     assert "host.pem" in files(planned)
     assert not (authority / "hosts").exists()
-    made = team_keys(authority, ["alpha"], NOW)
-    assert planned_keys(authority, ["alpha"]) == made
+    created = team_keys(authority, ["alpha"], NOW)
+    assert planned_keys(authority, ["alpha"]) == created
     assert has_authority(authority)
     assert not has_authority(authority / "other")

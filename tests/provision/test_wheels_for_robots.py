@@ -1,4 +1,4 @@
-"""Wheels for robots: requirements of a platform, collection, and lfield's own wheel."""
+"""Wheels for robots: the lock file, platforms, the cache, lfield's own wheel, and a standalone Python."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_lock_line_without_a_version_is_refused():
         read_lock("rich>=13\n", "lock.txt")
 
 
-def test_pip_lock_text_is_readable_again():
+def test_pip_lock_text_is_parsed_to_the_same_pins():
     pins = [Pin("a", "1.0", "", frozenset({"0" * 64, "f" * 64}))]
     assert pip_lock(pins) == f"a==1.0 --hash=sha256:{'0' * 64} --hash=sha256:{'f' * 64}\n"
     assert read_lock(pip_lock(pins), "") == pins
@@ -83,7 +83,7 @@ def test_pip_options_name_the_platform():
     assert options[-6:] == ["--abi", "cp311", "--abi", "abi3", "--abi", "none"]
 
 
-def test_uv_supports_every_architecture():
+def test_wheels_and_standalone_python_have_the_same_architectures():
     assert set(ARCHITECTURES) == {"aarch64", "armv7l", "x86_64"}
     assert standalone_python.ARCHITECTURES is ARCHITECTURES
     assert PYTHONS == ("3.13", "3.12", "3.11")
@@ -94,7 +94,7 @@ def test_uv_supports_every_architecture():
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch) -> WheelCache:
-    """A cache whose pip finds every wheel except those that `missing` names."""
+    """A wheel cache with a folder of custom wheels, and a file in place of lfield's own wheel."""
 
     async def own(folder: Path) -> Path:
         path = folder / "lfield-0.4.0-py3-none-any.whl"
@@ -102,19 +102,19 @@ def cache(tmp_path, monkeypatch) -> WheelCache:
         return path
 
     monkeypatch.setattr(wheel_cache, "make_own_wheel", own)
-    made = WheelCache(tmp_path / "cache", tmp_path / "handmade")
-    yield made
-    made.close()
+    wheels = WheelCache(tmp_path / "cache", tmp_path / "custom")
+    yield wheels
+    wheels.close()
 
 
 class Index:
     """Replaces `pip download`: counts requests, and lacks the `missing` packages."""
 
     def __init__(self, *missing: str) -> None:
-        self.missing, self.asked = set(missing), 0
+        self.missing, self.requests = set(missing), 0
 
     async def download(self, *words: str, what: str) -> None:
-        self.asked += 1
+        self.requests += 1
         folder, lock = Path(words[words.index("-d") + 1]), Path(words[words.index("-r") + 1])
         pins = read_lock(lock.read_text(), "")
         if names(pins) & self.missing:
@@ -124,11 +124,11 @@ class Index:
 
 
 def collect(cache: WheelCache, target: WheelTarget = PI):
-    async def both():
-        # Two robots of one platform request it at the same time.
+    async def collect_twice():
+        # Two robots of one platform request the wheels at the same time.
         return await asyncio.gather(*(cache.payload(target, brings_python=False) for _ in range(2)))
 
-    first, second = asyncio.run(both())
+    first, second = asyncio.run(collect_twice())
     assert first is second
     return first
 
@@ -137,23 +137,25 @@ def test_each_platform_is_collected_once(cache, monkeypatch, tmp_path):
     index = Index()
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     payload = collect(cache)
-    assert index.asked == 1
+    assert index.requests == 1
     assert len(payload.wheels) == len(needed_pins(PINS, PI))
     assert not any("zenoh" in wheel.file for wheel in payload.wheels)
     assert payload.lock.count("--hash=sha256:") == len(payload.wheels)
     assert all(describe_wheel(payload.path(wheel)) == wheel for wheel in payload.wheels)
-    again = WheelCache(tmp_path / "cache")
-    assert collect(again).environment == payload.environment
-    assert index.asked == 1
-    again.close()
+    second_cache = WheelCache(tmp_path / "cache")
+    assert collect(second_cache).environment == payload.environment
+    assert index.requests == 1
+    second_cache.close()
 
 
 def test_robots_in_a_fabric_also_get_the_zenoh_package(monkeypatch, cache, tmp_path):
     monkeypatch.setattr(wheel_cache, "run_pip", Index().download)
     payload = collect(cache)
     in_fabric = WheelCache(tmp_path / "fabric", has_zenoh=True)
-    more = {wheel.file for wheel in collect(in_fabric).wheels} - {wheel.file for wheel in payload.wheels}
-    assert [file.partition("-")[0] for file in more] == ["eclipse_zenoh"]
+    additional = {wheel.file for wheel in collect(in_fabric).wheels} - {
+        wheel.file for wheel in payload.wheels
+    }
+    assert [file.partition("-")[0] for file in additional] == ["eclipse_zenoh"]
     in_fabric.close()
 
 
@@ -162,10 +164,10 @@ def test_damaged_wheel_is_collected_again(cache, monkeypatch, tmp_path):
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     payload = collect(cache)
     (payload.folder / "rich-15.0.0-py3-none-any.whl").write_text("cut")
-    again = WheelCache(tmp_path / "cache")
-    assert collect(again).wheels == payload.wheels
-    assert index.asked == 2
-    again.close()
+    second_cache = WheelCache(tmp_path / "cache")
+    assert collect(second_cache).wheels == payload.wheels
+    assert index.requests == 2
+    second_cache.close()
 
 
 def test_every_missing_wheel_is_named(cache, monkeypatch):
@@ -182,10 +184,10 @@ def test_custom_wheels_replace_missing_ones(cache, monkeypatch, tmp_path):
     index = Index("cffi")
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     (version,) = (pin.version for pin in PINS if pin.name == "cffi")
-    (tmp_path / "handmade").mkdir()
+    (tmp_path / "custom").mkdir()
     file = f"cffi-{version}-cp311-cp311-linux_aarch64.whl"
-    (tmp_path / "handmade" / file).write_text("made on a robot")
-    (tmp_path / "handmade" / "cffi-0.1-cp311-cp311-linux_aarch64.whl").write_text("too old")
+    (tmp_path / "custom" / file).write_text("made on a robot")
+    (tmp_path / "custom" / "cffi-0.1-cp311-cp311-linux_aarch64.whl").write_text("too old")
     payload = collect(cache)
     assert [wheel.file for wheel in payload.wheels if wheel.file.startswith("cffi")] == [file]
 
@@ -204,12 +206,12 @@ def test_missing_package_index_suggests_prepare(cache, monkeypatch):
 @pytest.mark.few(0)
 @pytest.mark.process
 def test_installed_lfield_rebuilds_its_own_wheel(tmp_path):
-    made, installed, again = tmp_path / "made", tmp_path / "installed", tmp_path / "again"
-    for folder in (made, again):
+    first_build, installed, second_build = (tmp_path / name for name in ("first", "installed", "second"))
+    for folder in (first_build, second_build):
         folder.mkdir()
-    wheel = asyncio.run(make_own_wheel(made))
-    assert describe_wheel(asyncio.run(make_own_wheel(again))).sha256 == describe_wheel(wheel).sha256
-    (again / wheel.name).unlink()
+    wheel = asyncio.run(make_own_wheel(first_build))
+    assert describe_wheel(asyncio.run(make_own_wheel(second_build))).sha256 == describe_wheel(wheel).sha256
+    (second_build / wheel.name).unlink()
     words = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", installed, wheel]
     subprocess.run([sys.executable, *map(str, words)], check=True, timeout=110)
     # The installed lfield has neither sources nor a checkout.
@@ -220,7 +222,7 @@ def test_installed_lfield_rebuilds_its_own_wheel(tmp_path):
         "print(deployment_file('lfield.service') and deployment_file('locks/run.txt') and 'complete')"
     )
     environment = {**os.environ, "PYTHONPATH": str(installed)}
-    words = [sys.executable, "-P", "-c", script, str(again)]
+    words = [sys.executable, "-P", "-c", script, str(second_build)]
     done = subprocess.run(
         words, env=environment, cwd=tmp_path, check=True, timeout=60, capture_output=True, text=True
     )
@@ -293,7 +295,7 @@ def test_uv_error_is_reported_with_the_remedy(tmp_path, monkeypatch):
 
 
 def test_collection_index_is_named_after_its_lock(tmp_path):
-    """Another lock file gives another collection in the same folder."""
+    """Each lock file has its own collection index in the folder of the platform."""
     pins = needed_pins(PINS, PI)
     assert text_digest(pip_lock(pins)) != text_digest(pip_lock(pins[1:]))
     wheel = Wheel("a-1.0-py3-none-any.whl", "0" * 64, 1)

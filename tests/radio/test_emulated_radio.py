@@ -99,8 +99,7 @@ def test_cell_has_the_round_trip_of_its_name(name: str) -> None:
 
 @pytest.mark.process
 @pytest.mark.few(0)
-@pytest.mark.parametrize("ways", [1])
-def test_router_ends_with_the_radio(ways: int) -> None:
+def test_router_ends_with_the_radio() -> None:
     with Radio("alpha", "bravo") as radio:
         pids = [robot.pid for robot in radio]
         sleeper = radio["alpha"].start(["sleep", "600"])

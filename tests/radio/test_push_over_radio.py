@@ -1,4 +1,4 @@
-"""Pushes over a radio with losses and frequent outages, by desks that are killed."""
+"""Pushes over a radio with packet loss and frequent outages; the desk or a service is killed."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ pytestmark = [pytest.mark.skipif(bool(why := missing()), reason=why), pytest.mar
 
 
 @contextmanager
-def breaking(radio: Radio, every: float, lasting: float) -> Iterator[None]:
-    """Cut the radio of the desk for `lasting` seconds, every so many seconds."""
+def repeated_outages(radio: Radio, interval: float, duration: float) -> Iterator[None]:
+    """Cut the radio of the desk for `duration` seconds, every `interval` seconds."""
     ended = threading.Event()
 
     def work() -> None:
-        while not ended.wait(every):
-            radio.cut(lasting, DESK)
+        while not ended.wait(interval):
+            radio.cut(duration, DESK)
 
     thread = threading.Thread(target=work)
     thread.start()
@@ -43,21 +43,21 @@ def test_push_completes_despite_outages_and_a_killed_desk(tmp_path: Path) -> Non
         fleet.up()
         radio.set(Cell(Link(delay=0.02, loss=0.2)))
         mission = fleet.mission(lines=150)
-        with breaking(radio, every=2.0, lasting=1.0):
+        with repeated_outages(radio, interval=2.0, duration=1.0):
             desk = fleet.desk("push", mission, "--json")
             time.sleep(3.0)
             desk.kill()
             desk.wait()
-            done = result_of(fleet.desk("push", mission, "--json"), 120)
-        assert done["outcome"] == "activated"
-        # Data that had arrived before the desk was killed was not sent again.
-        assert all(each["bytes"] < done["size"] for each in done["sent"].values())
+            completed_push = result_of(fleet.desk("push", mission, "--json"), 120)
+        assert completed_push["outcome"] == "activated"
+        # The second desk did not send the data again that the robots received from the killed desk.
+        assert all(sent["bytes"] < completed_push["size"] for sent in completed_push["sent"].values())
 
         radio.set(Cell())
         fleet.mission(lines=150, last="changed")
         changed = result_of(fleet.desk("push", mission, "--json"), 60)
         assert changed["outcome"] == "activated"
-        assert all(0 < each["bytes"] < done["size"] / 5 for each in changed["sent"].values())
+        assert all(0 < sent["bytes"] < completed_push["size"] / 5 for sent in changed["sent"].values())
         states = result_of(fleet.desk("status", "--json"), 60)
         assert {state["bundle"] for state in states.values()} == {changed["bundle"]}
 
@@ -73,9 +73,9 @@ def test_killed_desk_or_service_leaves_one_active_bundle(tmp_path: Path, killed:
         mission = fleet.mission(lines=40)
         desk = fleet.desk("push", mission)
         time.sleep(seconds)
-        victim = desk if killed == DESK else fleet.services[killed]
-        victim.kill()
-        victim.wait()
+        killed_process = desk if killed == DESK else fleet.services[killed]
+        killed_process.kill()
+        killed_process.wait()
         radio.set(Cell())
         if killed != DESK:
             fleet.up(killed)

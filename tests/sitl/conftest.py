@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 from sitl_missions import Command, Mission
-from sitl_simulators import KINDS, Kind, Simulator, why_not
+from sitl_simulators import KINDS, Kind, Simulator, start_error
 from sitl_watcher import Watcher
 
 #: Seconds to wait for a simulator's heartbeat, and between two checks.
 CONTACT_TIMEOUT, CHECK_INTERVAL = 60.0, 0.2
-#: The share of real time below which a slow simulator may be the reason for a failed check.
+#: Below this rate of simulated time to real time, a failed check is reported with the rate.
 SLOW = 0.95
-#: Additional vehicles of an example (number), and the fakes of its other devices.
+#: The number of additional vehicles of an example, and the fakes of its other devices.
 OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
     "01-first-flight": (1, ()),
     "02-equivalent-lift": (
@@ -38,14 +38,14 @@ OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
     ),
 }
 
-#: `make test` has no simulators: it ignores these files.
+#: `make test` has no simulators: this file is then ignored.
 collect_ignore_glob = [] if os.environ.get("LFIELD_SITL") else ["test_sitl.py"]
-given = [kind for kind in KINDS if os.environ.get(kind.variable)]
+configured_kinds = [kind for kind in KINDS if os.environ.get(kind.variable)]
 _rows: list[tuple[str, str, str, str]] = []
 
 
 class Field:
-    """A running simulator of one kind, set up for the bindings of these tests, with its watcher."""
+    """Running simulators of one kind, and the watcher of the first vehicle."""
 
     def __init__(self, kind: Kind, folder: Path) -> None:
         self.kind, self._folder, self._count = kind, folder, 0
@@ -53,61 +53,60 @@ class Field:
         self._watcher: Watcher | None = None
 
     def open(self) -> None:
-        """Starts it, and waits for its heartbeat. Fails with one sentence if there is none."""
-        simulator, end = self.another(), time.monotonic() + CONTACT_TIMEOUT
+        """Starts the first vehicle and waits for its heartbeat. Fails with one sentence if there is none."""
+        simulator, end = self.start_vehicle(), time.monotonic() + CONTACT_TIMEOUT
         while self._watcher is None or not self._watcher.mode:
-            if simulator.trouble:
-                pytest.fail(simulator.trouble, pytrace=False)
+            if simulator.failure:
+                pytest.fail(simulator.failure, pytrace=False)
             if time.monotonic() > end:
-                place = (
-                    f"{self.kind.name} sends no heartbeat at {simulator.second} within {CONTACT_TIMEOUT:g} s"
-                )
-                output = f"; its output:\n{simulator.words}" if simulator.words else ""
+                seconds = f"within {CONTACT_TIMEOUT:g} s"
+                place = f"{self.kind.name} sends no heartbeat at {simulator.second_endpoint} {seconds}"
+                output = f"; its output:\n{simulator.last_output}" if simulator.last_output else ""
                 pytest.fail(f"{place}{output}", pytrace=False)
             time.sleep(CHECK_INTERVAL)
             if self._watcher is None:
-                # A simulator takes a while to listen.
+                # A new simulator does not listen at once.
                 with suppress(OSError):
-                    self._watcher = Watcher(simulator.second, simulator.system)
+                    self._watcher = Watcher(simulator.second_endpoint, simulator.system)
 
     @property
-    def first(self) -> Simulator:
-        """The watched vehicle."""
+    def vehicle(self) -> Simulator:
+        """The first vehicle, which is watched."""
         return self.simulators[0]
 
     @property
     def watcher(self) -> Watcher:
-        """The watcher of the vehicle."""
+        """The watcher of the first vehicle."""
         assert self._watcher is not None
         return self._watcher
 
     def folder(self) -> Path:
-        """A new folder."""
+        """The path of a new folder."""
         self._count += 1
         return self._folder / str(self._count)
 
-    def another(self) -> Simulator:
-        """One more vehicle of this kind, with the next system id."""
+    def start_vehicle(self) -> Simulator:
+        """Starts one more vehicle of this kind, with the next system id."""
         simulator = Simulator(self.kind, os.environ[self.kind.variable], len(self.simulators))
         try:
             simulator.start(self.folder())
         except OSError as error:
-            pytest.fail(f"{self.kind.variable}: {why_not(simulator.given, error)}", pytrace=False)
+            pytest.fail(f"{self.kind.variable}: {start_error(simulator.setting, error)}", pytrace=False)
         self.simulators.append(simulator)
         return simulator
 
     def mission(self, program: str, agents: str, endpoint: str = "") -> Mission:
         """A mission for the first vehicle."""
-        return Mission.on(self.first, self.folder(), program, agents, endpoint)
+        return Mission.on(self.vehicle, self.folder(), program, agents, endpoint)
 
     def lfield(self, *words: str | Path) -> Command:
-        """A started command of lfield."""
+        """Starts a command of lfield."""
         for simulator in self.simulators:
-            assert not simulator.trouble, simulator.trouble
+            assert not simulator.failure, simulator.failure
         return Command(self.folder(), *words)
 
     def up(self, mission: Mission, *options: str) -> Command:
-        """The started host of a mission."""
+        """Starts the host of a mission."""
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
@@ -115,11 +114,11 @@ class Field:
         return self.lfield("up", *words, *options)
 
     @contextmanager
-    def others(self, example: str) -> Iterator[None]:
-        """The rest of an example's team: vehicles of this kind, and fakes."""
+    def rest_of_team(self, example: str) -> Iterator[None]:
+        """Starts the other vehicles of an example and the fakes of its other devices."""
         vehicles, fakes = OTHERS[example]
         while len(self.simulators) <= vehicles:
-            self.another()
+            self.start_vehicle()
         started = [self.lfield("sim", *fake.split()) for fake in fakes]
         try:
             for fake in started:
@@ -130,26 +129,26 @@ class Field:
                 fake.end()
 
     def close(self) -> None:
-        """Ends everything that this object has started."""
+        """Ends the watcher and all simulators."""
         if self._watcher is not None:
             self._watcher.close()
         for simulator in self.simulators:
             simulator.end()
 
 
-@pytest.fixture(scope="module", params=given, ids=lambda kind: kind.name)
+@pytest.fixture(scope="module", params=configured_kinds, ids=lambda kind: kind.name)
 def field(request, tmp_path_factory) -> Iterator[Field]:
-    """Each given kind."""
-    made = Field(request.param, tmp_path_factory.mktemp(request.param.name))
+    """Each simulator kind whose variable is set."""
+    opened = Field(request.param, tmp_path_factory.mktemp(request.param.name))
     try:
-        made.open()
-        yield made
+        opened.open()
+        yield opened
     finally:
-        made.close()
+        opened.close()
 
 
 def pytest_collection_modifyitems(config, items) -> None:
-    """With ONLY, the checks that have one of its words in their names, and the set-up that all need."""
+    """With ONLY, selects the checks with one of its words in their names, and the common set-up."""
     words = [word.strip() for word in os.environ.get("ONLY", "").split(",") if word.strip()]
     checks = [item for item in items if item.path.name == "test_sitl.py"]
     if not words or not checks:
@@ -165,7 +164,7 @@ def pytest_collection_modifyitems(config, items) -> None:
 
 @pytest.fixture
 def figure(request) -> Callable[[str], None]:
-    """Adds a figure to the table."""
+    """Adds a figure to the row of this check."""
     return lambda text: request.node.user_properties.append(("figure", text))
 
 
@@ -194,7 +193,7 @@ def _row(item, report, call) -> tuple[str, str, str, str]:
 
 
 def pytest_terminal_summary(terminalreporter) -> None:
-    """The table."""
+    """Prints the table of results."""
     if not _rows:
         return
     terminalreporter.section("simulators")

@@ -15,14 +15,14 @@ from sitl_simulators import Simulator
 ROOT = Path(__file__).parents[2]
 #: The bindings of the examples to simulators.
 REAL = ROOT / "sim-adapters" / "real"
-#: m/s: the limit of every binding here. It is below the autopilots' default speeds (10, 5 and 5).
+#: Speed limit of every binding here in m/s; below the default speeds of the autopilots (10, 5 and 5).
 SPEED = 3.0
 #: Seconds from a cold start until a vehicle may be armed.
 READY = 120.0
 #: Lines of output of a failed command that are shown.
 MAX_LAST_LINES = 40
 
-#: Goals, then velocities: all kinds of motion.
+#: All kinds of motion: goals and velocities.
 TOUR = {
     "copter": """
 include <mavlink/copter.L>;
@@ -53,12 +53,12 @@ coordinator Tour {
 }
 """,
 }
-#: Nothing: a host that opens its vehicle and ends.
+#: Only opens the vehicle and ends.
 OPEN = """
 resource Vehicle { Mavlink fc; init(string[] arg) { } }
 coordinator Nothing { init(string[] arg) { } }
 """
-#: Up, over and down.
+#: A short flight: takeoff, one goal, landing.
 HOP = """
 include <mavlink/copter.L>;
 coordinator Hop {
@@ -78,7 +78,7 @@ resource Motors {
     init(string[] arg) { fc.waitReady(90.0); fc.arm(); fc.disarm(); write("armed and disarmed\\n"); }
 }
 """
-#: In the air, under velocities, until it is stopped.
+#: Flies with velocity setpoints until the host is stopped.
 AWAY = """
 resource Copter {
     Mavlink fc;
@@ -101,7 +101,7 @@ class Mission:
 
     @classmethod
     def on(cls, simulator: Simulator, folder: Path, program: str, agents: str, endpoint: str = "") -> Mission:
-        """Writes the mission; `agents` are the lines of the deployment, the first one has the device `fc`."""
+        """Writes the mission; `agents` is the deployment; its first agent has the device `fc`."""
         folder.mkdir(parents=True, exist_ok=True)
         agent = agents.partition(":")[2].partition("@")[0]
         vehicle = simulator.kind.vehicle
@@ -117,7 +117,7 @@ class Mission:
 
 
 class Command:
-    """A running lfield command, its two streams in one file."""
+    """A running lfield command, with stdout and stderr in one file."""
 
     def __init__(self, folder: Path, *arguments: str | Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -136,23 +136,23 @@ class Command:
 
     @property
     def output(self) -> str:
-        """The output of the command until now."""
+        """The output of the command so far."""
         return self._file.read_text(errors="replace")
 
     @property
     def last_lines(self) -> str:
-        """The last lines of its output."""
+        """The command line, and the last lines of the output."""
         return f"$ lfield {self.arguments}\n" + "\n".join(self.output.splitlines()[-MAX_LAST_LINES:])
 
     def prints(self, text: str, bound: float) -> bool:
-        """Whether the command prints this within `bound` seconds, and before it ends."""
+        """Whether the command prints `text` within `bound` seconds and before its end."""
         end = time.monotonic() + bound
         while text not in self.output and time.monotonic() < end and self.process.poll() is None:
             time.sleep(0.1)
         return text in self.output
 
     def wait_for(self, text: str, bound: float) -> None:
-        """Waits until it has printed this. Fails if it does not."""
+        """Waits until the command prints `text`. Fails after `bound` seconds or if the command ends."""
         assert self.prints(text, bound), f"no output '{text}' within {bound:g} s\n{self.last_lines}"
 
     def wait(self, bound: float) -> int:
@@ -161,15 +161,15 @@ class Command:
             return self.process.wait(bound)
         except subprocess.TimeoutExpired:
             self.end()
-            raise AssertionError(f"it did not end within {bound:g} s\n{self.last_lines}") from None
+            raise AssertionError(f"the command did not end within {bound:g} s\n{self.last_lines}") from None
 
     def succeeds(self, bound: float) -> None:
-        """Waits until it has ended with status 0."""
+        """Waits for the end of the command. Fails if its status is not 0."""
         status = self.wait(bound)
-        assert status == 0, f"it ended with {status}\n{self.last_lines}"
+        assert status == 0, f"the command ended with status {status}\n{self.last_lines}"
 
     def end(self) -> None:
-        """Ends it with its devices safe, or kills it after a time-out."""
+        """Stops the command, which makes its devices safe; kills it after a time-out."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
@@ -180,8 +180,8 @@ class Command:
 
     @property
     def guard(self) -> int:
-        """The process of its only guard. Fails if there is none."""
+        """The pid of the only guard of this host. Fails if there is none."""
         file = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         children = [int(word) for word in file.read_text().split()]
-        assert len(children) == 1, f"its guard is not there: {children}\n{self.last_lines}"
+        assert len(children) == 1, f"there must be one guard, not {children}\n{self.last_lines}"
         return children[0]

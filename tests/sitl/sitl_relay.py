@@ -1,4 +1,4 @@
-"""A bad radio: a relay between a ground station and a vehicle that loses random packets both ways."""
+"""A poor radio link: a relay between station and vehicle that drops random packets in both directions."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import socket
 import threading
 from collections.abc import Iterator
 
-#: MAVLink 1 and 2: marker -> bytes around the payload; a signature has 13 more.
-_AROUND = {0xFE: 8, 0xFD: 12}
+#: MAVLink 1 and 2: start marker -> bytes around the payload; a signature adds 13 bytes.
+_OVERHEAD = {0xFE: 8, 0xFD: 12}
 _SIGNED, _SIGNATURE = 0x01, 13
 #: Seconds between two checks for the end.
 POLL_INTERVAL = 0.2
@@ -29,24 +29,24 @@ class Frames:
             if length is None or len(self._rest) < length:
                 return
             packet, self._rest = self._rest[:length], self._rest[length:]
-            if packet[0] in _AROUND:
+            if packet[0] in _OVERHEAD:
                 yield packet
 
     def _length(self) -> int | None:
-        """The length of the first packet, 1 for a byte that starts none, None while unknown."""
+        """The length of the first packet; 1 for a byte outside packets, None while the length is unknown."""
         marker = self._rest[0]
-        if marker not in _AROUND:
+        if marker not in _OVERHEAD:
             return 1
         if len(self._rest) < 3:
             return None
         signed = marker == 0xFD and self._rest[2] & _SIGNED
-        return self._rest[1] + _AROUND[marker] + (_SIGNATURE if signed else 0)
+        return self._rest[1] + _OVERHEAD[marker] + (_SIGNATURE if signed else 0)
 
 
 class Relay:
-    """Between a vehicle's link (`tcp:`, `udp:` or `udpin:HOST:PORT`) and the station at `endpoint`.
+    """A relay between a vehicle (`tcp:`, `udp:` or `udpin:HOST:PORT`) and the station at `endpoint`.
 
-    Of every packet, each way, a share `loss` is lost; `seed` seeds the losses.
+    `loss` is the probability that a packet is dropped, in each direction; `seed` makes the losses repeatable.
     """
 
     def __init__(self, vehicle: str, loss: float, seed: int = 1) -> None:
@@ -69,21 +69,21 @@ class Relay:
         self._endpoint.close()
 
     def _run(self) -> None:
-        down, up = Frames(), Frames()
+        from_vehicle, to_vehicle = Frames(), Frames()
         while not self._ended:
             ready, _, _ = select.select([self._vehicle, self._endpoint], [], [], POLL_INTERVAL)
             if self._vehicle in ready:
                 data, self._peer = _received(self._vehicle, self._peer)
-                for packet in down.cut(data):
-                    if self._station is not None and self._passes():
+                for packet in from_vehicle.cut(data):
+                    if self._station is not None and self._is_passed():
                         self._endpoint.sendto(packet, self._station)
             if self._endpoint in ready:
                 data, self._station = self._endpoint.recvfrom(65535)
-                for packet in up.cut(data):
-                    if self._passes():
+                for packet in to_vehicle.cut(data):
+                    if self._is_passed():
                         self._to_vehicle(packet)
 
-    def _passes(self) -> bool:
+    def _is_passed(self) -> bool:
         lost = self._rng.random() < self._loss
         self.lost += lost
         self.passed += not lost
@@ -97,7 +97,7 @@ class Relay:
 
 
 def _connected(endpoint: str) -> tuple[socket.socket, tuple[str, int] | None]:
-    """A socket to a vehicle; its peer is `("", 0)` until a vehicle that sends first has sent."""
+    """A socket to a vehicle, and its peer address; with `udpin`, `("", 0)` until the first packet arrives."""
     kind, host, port = endpoint.split(":")
     address = (host, int(port))
     if kind == "tcp":
@@ -111,7 +111,7 @@ def _connected(endpoint: str) -> tuple[socket.socket, tuple[str, int] | None]:
 
 
 def _received(vehicle: socket.socket, peer: tuple[str, int] | None) -> tuple[bytes, tuple[str, int] | None]:
-    """Bytes of a vehicle, and its address; no bytes if the vehicle does not listen yet."""
+    """Received bytes and the address of the vehicle; no bytes if the vehicle does not listen yet."""
     try:
         if peer is None:
             return vehicle.recv(65535), None

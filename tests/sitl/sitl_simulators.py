@@ -1,4 +1,4 @@
-"""Simulators of real autopilots: found running, or started from a build, and ended by their pids.
+"""Simulators of real autopilots: already running, or started from a build and ended by their pids.
 
 ArduPilot's options: https://ardupilot.org/dev/docs/using-sitl-for-ardupilot-testing.html, its ports:
 https://ardupilot.org/dev/docs/sitl-serial-mapping.html; PX4's: https://docs.px4.io/main/en/simulation/
@@ -21,7 +21,7 @@ from pathlib import Path
 #: Parameters of ArduPilot beside its defaults, so that it can be armed and has a gripper.
 PARAMETERS = Path(__file__).parents[2] / "sim-adapters" / "real"
 #: Seconds for a simulator to end by itself before it is killed.
-ENDS = 5.0
+END_TIMEOUT = 5.0
 #: Reasons why a build cannot be started, in addition to the system's message.
 REASONS: Mapping[int, str] = {
     errno.ENOENT: "give the path of a simulator's build, or an endpoint",
@@ -35,7 +35,7 @@ LAST_LINES = 15
 
 @dataclass(frozen=True)
 class Kind:
-    """A simulator: the variable of `make test-sitl` that gives it, its stack and its kind of vehicle."""
+    """A kind of simulator: its variable of `make test-sitl`, its autopilot and its vehicle."""
 
     name: str
     variable: str
@@ -53,14 +53,14 @@ KINDS = (
 
 @dataclass
 class Simulator:
-    """One simulated vehicle: the endpoint for lfield, and the endpoint for a second client that watches it.
+    """One simulated vehicle, with an endpoint for lfield and a second endpoint for the watcher.
 
-    `given` is the value of the variable: the path of a build, perhaps with options behind it, or
+    `setting` is the value of the variable: the path of a build and optional command-line options, or
     `ENDPOINT[,SECOND]` of a running one. `instance` counts from 0; the system id is one more.
     """
 
     kind: Kind
-    given: str
+    setting: str
     instance: int = 0
     _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
     _folder: Path | None = field(default=None, init=False)
@@ -73,36 +73,36 @@ class Simulator:
     @property
     def is_running_elsewhere(self) -> bool:
         """Whether the simulator was started outside these tests."""
-        return self.given.startswith(("tcp:", "udp:", "udpin:"))
+        return self.setting.startswith(("tcp:", "udp:", "udpin:"))
 
     @property
     def endpoint(self) -> str:
         """The endpoint for a binding."""
         if self.is_running_elsewhere:
-            return self.given.partition(",")[0]
+            return self.setting.partition(",")[0]
         if self.kind.px4:
             return f"udpin:127.0.0.1:{14540 + self.instance}"
         return f"tcp:127.0.0.1:{5760 + 10 * self.instance}"
 
     @property
-    def second(self) -> str:
-        """Another link to it, for the watcher."""
+    def second_endpoint(self) -> str:
+        """The endpoint of another link to the vehicle, for the watcher."""
         if self.is_running_elsewhere:
-            return self.given.partition(",")[2] or self.endpoint
+            return self.setting.partition(",")[2] or self.endpoint
         if self.kind.px4:
-            # Its link for ground stations: all instances send to one port; this is the port of its socket.
+            # PX4's link for ground stations: all instances send to one port; each has this local port.
             return f"udp:127.0.0.1:{18570 + self.instance}"
         return f"tcp:127.0.0.1:{5762 + 10 * self.instance}"
 
     @property
     def ports(self) -> tuple[tuple[socket.SocketKind, int], ...]:
-        """The ports that it, or lfield for it, listens at."""
+        """The ports of the simulator, and the port at which lfield listens for it."""
         if self.kind.px4:
             return tuple((socket.SOCK_DGRAM, port + self.instance) for port in (14540, 14580, 18570))
         return tuple((socket.SOCK_STREAM, port + 10 * self.instance) for port in (5760, 5762))
 
     def start(self, folder: Path) -> None:
-        """Starts it in its own folder, with empty storage. Raises OSError."""
+        """Starts the build in its own folder, with empty storage. Raises OSError."""
         if self.is_running_elsewhere:
             return
         for kind, port in self.ports:
@@ -123,34 +123,34 @@ class Simulator:
             )
 
     def end(self) -> None:
-        """Ends it, if it was started here."""
+        """Ends the process, unless the simulator was started elsewhere."""
         if self._process is None:
             return
         self._signal(signal.SIGTERM)
         try:
-            self._process.wait(ENDS)
+            self._process.wait(END_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._signal(signal.SIGKILL)
             self._process.wait()
 
     def _signal(self, number: signal.Signals) -> None:
-        """Signals its process group: PX4 is started by a shell."""
+        """Sends a signal to the process group, since PX4 is started by a shell."""
         assert self._process is not None
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, number)
 
     @property
-    def trouble(self) -> str:
-        """The reason why it does not run, '' if it runs."""
+    def failure(self) -> str:
+        """The reason why the simulator does not run, '' if it runs."""
         status = None if self._process is None else self._process.poll()
         if status is None:
             return ""
-        last = self.words.rpartition("\n")[2] or "nothing"
-        return f"{self.kind.name} has ended with {status}; last output: {last}\n{self.words}"
+        last = self.last_output.rpartition("\n")[2] or "nothing"
+        return f"{self.kind.name} has ended with {status}; last output: {last}\n{self.last_output}"
 
     @property
-    def words(self) -> str:
-        """The last lines that it has printed."""
+    def last_output(self) -> str:
+        """The last lines of the output."""
         if self._folder is None:
             return "(it was started elsewhere)"
         lines = (self._folder / "output.txt").read_text(errors="replace").splitlines()
@@ -159,38 +159,38 @@ class Simulator:
 
 def is_port_in_use(kind: socket.SocketKind, port: int) -> bool:
     """Whether a process listens at a port of this computer."""
-    with socket.socket(socket.AF_INET, kind) as one:
+    with socket.socket(socket.AF_INET, kind) as probe:
         if kind is socket.SOCK_STREAM:
-            # Ignores connections of a simulator that has just ended.
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            # Connections of a simulator that has just ended do not count.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            one.bind(("127.0.0.1", port))
+            probe.bind(("127.0.0.1", port))
         except OSError as error:
             return error.errno == errno.EADDRINUSE
     return False
 
 
-def why_not(given: str, error: OSError) -> str:
+def start_error(setting: str, error: OSError) -> str:
     """The reason why a build could not be started."""
     reason = REASONS.get(error.errno or 0, "")
-    if error.errno == errno.ENOENT and Path(split(given)[0]).exists():
+    if error.errno == errno.ENOENT and Path(split(setting)[0]).exists():
         reason = "the file is there, but not the loader that it was built for: it is for another system"
-    return f"'{given}' cannot be started: {error.strerror}" + (f"; {reason}" if reason else "")
+    return f"'{setting}' cannot be started: {error.strerror}" + (f"; {reason}" if reason else "")
 
 
-def split(given: str) -> list[str]:
+def split(setting: str) -> list[str]:
     """The path of a build (relative, in a home folder, or a name on the PATH) and its options."""
-    binary, *options = shlex.split(given)
+    binary, *options = shlex.split(setting)
     path = Path(binary).expanduser()
     found = None if path.exists() else shutil.which(binary)
     return [found or str(path.absolute()), *options]
 
 
 def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
-    """The command that starts an ArduPilot build, and what is added to its environment."""
-    binary, *options = split(simulator.given)
+    """The command that starts an ArduPilot build, and its additional environment variables."""
+    binary, *options = split(simulator.setting)
     parameters = [PARAMETERS / f"{simulator.kind.name}.parm"]
-    # A build in its source tree has the parameters of its own tests.
+    # A source tree beside the build has the default parameters of ArduPilot's own tests.
     stock = Path(binary).resolve().parents[3:4]
     beside = [tree / "Tools/autotest/default_params" / f"{simulator.kind.vehicle}.parm" for tree in stock]
     parameters = [*(file for file in beside if file.is_file()), *parameters]
@@ -203,7 +203,7 @@ def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
 
 def px4(simulator: Simulator, folder: Path) -> tuple[list[str], Mapping[str, str]]:
     """The command and environment of a PX4 build; its start-up files are beside the binary's folder."""
-    binary, *options = split(simulator.given)
+    binary, *options = split(simulator.setting)
     files = Path(binary).resolve().parent.parent / "etc"
     words = [binary, *options, "-i", str(simulator.instance), "-d", "-w", str(folder)]
     return [*words, str(files)] if files.is_dir() else words, {"PX4_SIM_MODEL": simulator.kind.model}

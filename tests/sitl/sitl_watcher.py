@@ -1,4 +1,4 @@
-"""A second client that only watches a vehicle, independently of lfield."""
+"""A second MAVLink client that only watches a vehicle, independently of lfield."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-#: Its ids: not those of the autopilots' station, so that it does not prevent a failsafe.
+#: The ids of this client differ from those of the ground station, so that it does not prevent a failsafe.
 SYSTEM, COMPONENT = 77, 190
 #: The requested messages and their rates (Hz).
 RATES = {
@@ -26,7 +26,7 @@ class Observation:
     """One observed change: time (CLOCK_MONOTONIC, s), quantity, and value."""
 
     at: float
-    what: str
+    quantity: str
     value: str
 
 
@@ -45,40 +45,40 @@ class Watcher:
         self.mode, self.armed, self.height, self.speed = "", False, math.nan, math.nan
         #: Every mode, arming, and text, in order.
         self.observations: list[Observation] = []
-        #: (time, m/s) of every report.
+        #: (time, speed in m/s) of every report.
         self.speeds: list[tuple[float, float]] = []
-        #: (when, the vehicle's own seconds since its start), likewise.
+        #: (time, seconds since the start of the autopilot by its own clock) of every report.
         self.times: list[tuple[float, float]] = []
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
 
-    # -- questions ------------------------------------------------------------------------------------
+    # -- queries --------------------------------------------------------------------------------------
 
-    def until(self, condition: Callable[[Watcher], bool], bound: float, what: str) -> float:
+    def until(self, condition: Callable[[Watcher], bool], bound: float, event: str) -> float:
         """Waits until a condition of this watcher holds; returns the seconds. Fails after `bound`."""
         start = time.monotonic()
         with self._changed:
-            came = self._changed.wait_for(lambda: condition(self), bound)
-        assert came, f"waited {bound:g} s for {what}; it is {self}; it was\n{self.story(start)}"
+            holds = self._changed.wait_for(lambda: condition(self), bound)
+        assert holds, f"waited {bound:g} s for {event}; now {self}; observed:\n{self.history(start)}"
         return time.monotonic() - start
 
     def top_speed(self, since: float) -> float:
-        """The highest speed over ground since then, 0 without a report."""
+        """The highest speed over ground since a time, 0 without a report."""
         return max((speed for at, speed in self.speeds if at >= since), default=0.0)
 
     def pace(self, last: float) -> float | None:
-        """The rate of its clock in the last seconds, 1 for real time; None with too few reports."""
+        """The rate of the vehicle's clock in the last seconds, 1 for real time; None with too few reports."""
         now = time.monotonic()
-        reports = [each for each in self.times if each[0] >= now - last]
+        reports = [report for report in self.times if report[0] >= now - last]
         if not reports or reports[-1][0] - reports[0][0] < 2.0:
             return None
         return (reports[-1][1] - reports[0][1]) / (reports[-1][0] - reports[0][0])
 
-    def story(self, since: float = 0.0) -> str:
-        """The observations, one per line, with seconds since then."""
+    def history(self, since: float = 0.0) -> str:
+        """The observations, one per line, with the seconds since `since`, or since the first one."""
         start = since or (self.observations[0].at if self.observations else 0.0)
         lines = [
-            f"{each.at - start:8.2f} s  {each.what} {each.value}"
+            f"{each.at - start:8.2f} s  {each.quantity} {each.value}"
             for each in self.observations
             if each.at >= since
         ]
@@ -91,19 +91,19 @@ class Watcher:
     # -- watching -------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        greeted = -math.inf
+        last_heartbeat = -math.inf
         while not self._ended:
-            if time.monotonic() > greeted + 1.0:
-                greeted = time.monotonic()
-                self._greet()
+            if time.monotonic() > last_heartbeat + 1.0:
+                last_heartbeat = time.monotonic()
+                self._send_heartbeat()
             message = self._link.recv_match(blocking=True, timeout=0.2)
             if message is not None and message.get_srcSystem() == self._system:
                 with self._changed:
                     self._on_message(message)
                     self._changed.notify_all()
 
-    def _greet(self) -> None:
-        """Sends a heartbeat, and requests the messages while they are missing."""
+    def _send_heartbeat(self) -> None:
+        """Sends a heartbeat, and requests the messages if none arrived in the last second."""
         send = self._link.mav
         send.heartbeat_send(dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 0)
         if math.isnan(self.speed) or not self.speeds or time.monotonic() - self.speeds[-1][0] > 1.0:
@@ -123,15 +123,17 @@ class Watcher:
         elif kind == "GLOBAL_POSITION_INT":
             self.height = message.relative_alt / 1000.0
         elif kind == "STATUSTEXT":
-            self.observations.append(Observation(time.monotonic(), "says", message.text))
+            self.observations.append(Observation(time.monotonic(), "text", message.text))
 
-    def _note(self, what: str, value: object) -> None:
-        if getattr(self, what) != value:
-            setattr(self, what, value)
-            self.observations.append(Observation(time.monotonic(), what, f"{value} at {self.height:.1f} m"))
+    def _note(self, quantity: str, value: object) -> None:
+        if getattr(self, quantity) != value:
+            setattr(self, quantity, value)
+            self.observations.append(
+                Observation(time.monotonic(), quantity, f"{value} at {self.height:.1f} m")
+            )
 
     def close(self) -> None:
-        """Ends the watch."""
+        """Ends the thread and closes the link."""
         self._ended = True
         self._thread.join(5.0)
         self._link.close()

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 from sitl_relay import Frames, Relay
-from sitl_simulators import KINDS, Simulator, ardupilot, px4, split, why_not
+from sitl_simulators import KINDS, Simulator, ardupilot, px4, split, start_error
 from sitl_watcher import Watcher
 
 from lfield.testing.driver_bench import running_fake
@@ -78,7 +78,11 @@ def test_builds_are_started_with_their_own_ports_and_ids(tmp_path):
     assert words[-2:] == ["--rate", "400"]
     assert words[words.index("--sysid") + 1] == "2"
     assert words[words.index("--defaults") + 1].startswith(f"{stock},")
-    assert (second.endpoint, second.second, second.system) == ("tcp:127.0.0.1:5770", "tcp:127.0.0.1:5772", 2)
+    assert (second.endpoint, second.second_endpoint, second.system) == (
+        "tcp:127.0.0.1:5770",
+        "tcp:127.0.0.1:5772",
+        2,
+    )
 
     binary = tmp_path / "px4" / "bin" / "px4"
     (tmp_path / "px4" / "etc").mkdir(parents=True)
@@ -87,7 +91,7 @@ def test_builds_are_started_with_their_own_ports_and_ids(tmp_path):
     assert environment == {"PX4_SIM_MODEL": "sihsim_quadx"}
 
     running = Simulator(ARDUCOPTER, "tcp:127.0.0.1:5760,tcp:127.0.0.1:5762")
-    assert (running.endpoint, running.second) == ("tcp:127.0.0.1:5760", "tcp:127.0.0.1:5762")
+    assert (running.endpoint, running.second_endpoint) == ("tcp:127.0.0.1:5760", "tcp:127.0.0.1:5762")
 
 
 def test_build_path_is_relative_home_or_on_the_path(tmp_path, monkeypatch):
@@ -116,20 +120,20 @@ def test_build_that_cannot_be_started_has_a_reason(tmp_path, monkeypatch, conten
     build.chmod(mode)
     with pytest.raises(OSError, match=r"denied|format|No such") as error:
         Simulator(ARDUCOPTER, str(build)).start(tmp_path / "run")
-    assert words in why_not(str(build), error.value)
+    assert words in start_error(str(build), error.value)
 
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
 def test_simulator_port_in_use_is_named(tmp_path, monkeypatch, kind):
-    with socket.socket(socket.AF_INET, kind) as taken:
-        taken.bind(("127.0.0.1", 0))
+    with socket.socket(socket.AF_INET, kind) as other_socket:
+        other_socket.bind(("127.0.0.1", 0))
         if kind is socket.SOCK_STREAM:
-            taken.listen()
-        port = taken.getsockname()[1]
+            other_socket.listen()
+        port = other_socket.getsockname()[1]
         monkeypatch.setattr(Simulator, "ports", ((kind, port),))
         with pytest.raises(OSError, match="in use") as error:
             Simulator(PX4, "/bin/true").start(tmp_path / "run")
-    assert f"port {port} of 127.0.0.1 is in use; end what runs there" in why_not("/bin/true", error.value)
+    assert f"port {port} of 127.0.0.1 is in use; end what runs there" in start_error("/bin/true", error.value)
 
 
 def test_slow_simulator_time_is_measured(monkeypatch):
@@ -148,11 +152,11 @@ def test_ended_simulator_reports_its_last_output(tmp_path):
     broken = Simulator(ARDUCOPTER, str(build))
     broken.start(tmp_path / "broken")
     broken._process.wait(30.0)
-    assert broken.trouble.startswith("arducopter has ended with 1; last output: no such model\n")
+    assert broken.failure.startswith("arducopter has ended with 1; last output: no such model\n")
     broken.end()
 
 
-def checked(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
+def run_checks(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
     """Runs the checks as `make test-sitl` does for this simulator."""
     environment = {**os.environ, "ARDUCOPTER": arducopter, "LFIELD_SITL": "yes", "ONLY": only}
     words = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", str(HERE / "test_sitl.py")]
@@ -164,15 +168,15 @@ def checked(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.few(0)
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("given", "only", "expected"),
+    ("setting", "only", "expected"),
     [
         ("/nowhere/arducopter", "left", "ARDUCOPTER: '/nowhere/arducopter' cannot be started: No such file"),
         ("/bin/false", "left", "arducopter has ended with 1; last output: nothing"),
         ("/bin/false", "nosuch", "ONLY: there is no check 'nosuch'; there are arming_right_after_opening,"),
     ],
 )
-def test_impossible_run_is_reported_without_a_traceback(given, only, expected):
-    done = checked(given, only)
+def test_impossible_run_is_reported_without_a_traceback(setting, only, expected):
+    done = run_checks(setting, only)
     assert done.returncode != 0
     assert expected in done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
@@ -182,6 +186,6 @@ def test_impossible_run_is_reported_without_a_traceback(given, only, expected):
 @pytest.mark.process
 def test_check_on_a_running_vehicle_is_in_the_table():
     with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8", "--land", "1.9") as fake:
-        done = checked(fake.endpoint, "left")
+        done = run_checks(fake.endpoint, "left")
     assert done.returncode == 0, done.stdout
     assert "up refused a stock vehicle and named lfield setup" in done.stdout

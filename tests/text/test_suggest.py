@@ -1,4 +1,4 @@
-"""Suggestions find the most similar name, in bounded time for any number of names and errors."""
+"""Suggestions: the most similar names, with a bounded search for any number and length of names."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def test_most_similar_name_is_found_in_any_case() -> None:
 def test_search_among_thousands_is_limited_to_near_names() -> None:
     known = [f"value{number:05}" for number in range(10_000)]
     assert suggestions.closest("valeu05000", [*known, "valeur05000"]) == "valeur05000"
-    with patch.object(suggestions, "get_close_matches", return_value=[]) as look:
+    with patch.object(suggestions, "get_close_matches", return_value=[]) as search:
         suggestions.closest("valeu05000", known)
-    assert len(look.call_args.args[1]) <= suggestions.MAX_NAMES
+    assert len(search.call_args.args[1]) <= suggestions.MAX_NAMES
 
 
 def test_overlong_name_has_no_similar_name() -> None:
@@ -26,14 +26,14 @@ def test_overlong_name_has_no_similar_name() -> None:
     assert suggestions.closest(long, [f"{long}b"]) is None
 
 
-MANY = ["arm", "land", "goTo", "goToGlobal", "setSpeed", "mode", "hold", "orbit", "yaw"]
+NAMES = ["arm", "land", "goTo", "goToGlobal", "setSpeed", "mode", "hold", "orbit", "yaw"]
 
 
 def test_few_names_are_listed_and_many_are_reduced() -> None:
-    assert suggestions.choice("driveTo", MANY[:8], "it has") == f"it has {', '.join(MANY[:7])} and orbit"
-    assert suggestions.choice("driveTo", MANY, "it has") == "similar names: goTo and goToGlobal"
-    assert suggestions.choice("modus", MANY, "it has") == "similar names: mode"
-    assert suggestions.choice("zzz", MANY, "it has") == f"it has {', '.join(MANY[:8])}, ..."
+    assert suggestions.choice("driveTo", NAMES[:8], "it has") == f"it has {', '.join(NAMES[:7])} and orbit"
+    assert suggestions.choice("driveTo", NAMES, "it has") == "similar names: goTo and goToGlobal"
+    assert suggestions.choice("modus", NAMES, "it has") == "similar names: mode"
+    assert suggestions.choice("zzz", NAMES, "it has") == f"it has {', '.join(NAMES[:8])}, ..."
 
 
 def test_similar_names_are_bounded() -> None:

@@ -1,3 +1,5 @@
+"""YAML files: values, places of nodes, diagnostics, and typed fields."""
+
 from __future__ import annotations
 
 import pytest
@@ -67,7 +69,7 @@ def test_nodes_have_their_places():
 
 
 @pytest.mark.parametrize(
-    ("text", "drawn"),
+    ("text", "diagnostic"),
     [
         (
             "a: [1\nb: 2",
@@ -106,8 +108,8 @@ def test_nodes_have_their_places():
         ("[" * 40, "error[Y102]: more than 32 levels deep"),
     ],
 )
-def test_invalid_yaml_is_refused_at_its_place(text, drawn):
-    assert drawn in errors(text)
+def test_invalid_yaml_is_refused_at_its_place(text, diagnostic):
+    assert diagnostic in errors(text)
 
 
 def test_oversized_or_undecodable_file_is_refused():
@@ -142,25 +144,25 @@ def test_any_text_gives_a_value_or_a_diagnostic(text):
         assert diagnostic.render().startswith("t.yaml:")
 
 
-def drawn(text: str, libyaml: bool) -> tuple[object, list[str]]:
+def parsed_with(text: str, libyaml: bool) -> tuple[object, list[str]]:
     """The nodes of a text with their places, and the diagnostics, with or without the C library."""
     found = Diagnostics()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(yaml, "__with_libyaml__", libyaml)
         node = parse(Source("t.yaml", text), found)
-    return placed(node) if node is not None else None, [d.render() for d in found.errors]
+    return with_places(node) if node is not None else None, [d.render() for d in found.errors]
 
 
-def placed(node):
-    """A node as plain data with its place; an empty one has no place."""
+def with_places(node):
+    """A node as plain data with its source range; an empty node has none."""
     if not isinstance(node, YamlMapping | YamlList) and not node.value:
         return node.value, type(node.value)
     place = (node.span.start, node.span.end)
     if isinstance(node, YamlMapping):
         entries = node.entries.items()
-        return place, {key: (e.key_span.start * bool(key), placed(e.value)) for key, e in entries}
+        return place, {key: (e.key_span.start * bool(key), with_places(e.value)) for key, e in entries}
     if isinstance(node, YamlList):
-        return place, [placed(item) for item in node.items]
+        return place, [with_places(item) for item in node.items]
     return place, node.value, type(node.value)
 
 
@@ -193,9 +195,9 @@ def placed(node):
         ).map("".join),
     )
 )
-def test_c_library_reads_the_same(text):
+def test_c_library_and_python_parser_read_equal_values(text):
     # The C library accepts a few spellings that PyYAML refuses, such as a tab between key and value.
-    fast, slow = drawn(text, True), drawn(text, False)
+    fast, slow = parsed_with(text, True), parsed_with(text, False)
     assert fast == slow or (slow[0] is None and fast[1] == [])
 
 

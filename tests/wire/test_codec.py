@@ -152,19 +152,22 @@ TRANSFER_HEADER = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5)
 
 
 def decoder_of_a_host(max_block: int, skipped: list):
-    decoder = frame_decoder(lambda *what: skipped.append(what))
+    decoder = frame_decoder(lambda *transfer: skipped.append(transfer))
     decoder.limits = limits("host", max_block)
     return decoder
 
 
-def parts(frame: bytes) -> tuple[int, bytes]:
+def kind_and_payload(frame: bytes) -> tuple[int, bytes]:
     return frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
 def test_each_message_is_restored(message):
-    assert decode(*parts(encode(message))) == message
-    assert decode(parts(encode(message))[0], memoryview(parts(encode(message))[1])) == message
+    assert decode(*kind_and_payload(encode(message))) == message
+    assert (
+        decode(kind_and_payload(encode(message))[0], memoryview(kind_and_payload(encode(message))[1]))
+        == message
+    )
 
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=MAX_NAME)
@@ -175,14 +178,14 @@ NUMBERS = st.integers(0, 2**63 - 1)
 @given(
     st.builds(RenewReservation, NAMES, NUMBERS, NAMES, NUMBERS)
     | st.builds(ReleaseReservation, NAMES, NUMBERS)
-    | st.builds(lambda *held: status(reserved=[ReservedStatus(*held, 1.5, 0.25)]), NAMES, NAMES, NUMBERS)
+    | st.builds(lambda *fields: status(reserved=[ReservedStatus(*fields, 1.5, 0.25)]), NAMES, NAMES, NUMBERS)
 )
 def test_reservation_messages_are_restored(message):
-    assert decode(*parts(encode(message))) == message
+    assert decode(*kind_and_payload(encode(message))) == message
 
 
 def test_a_transfer_is_its_header_and_the_unchanged_block():
-    kind, payload = parts(encode_transfer(TRANSFER_HEADER, b"block") + b"block")
+    kind, payload = kind_and_payload(encode_transfer(TRANSFER_HEADER, b"block") + b"block")
     assert kind == TRANSFER
     header, block = decode_transfer(payload)
     assert header == TRANSFER_HEADER
@@ -191,23 +194,23 @@ def test_a_transfer_is_its_header_and_the_unchanged_block():
 
 
 def test_the_largest_transfer_header_fits():
-    widest = Transfer("\U0010ffff" * MAX_NAME, *[2**62] * 3, HASH, 2**63 - 1, 0)
-    assert len(encode_transfer(widest, b"")) - HEADER_SIZE <= MAX_TRANSFER_HEADER
-    assert decode_transfer(parts(encode_transfer(widest, b""))[1])[0] == widest
+    largest = Transfer("\U0010ffff" * MAX_NAME, *[2**62] * 3, HASH, 2**63 - 1, 0)
+    assert len(encode_transfer(largest, b"")) - HEADER_SIZE <= MAX_TRANSFER_HEADER
+    assert decode_transfer(kind_and_payload(encode_transfer(largest, b""))[1])[0] == largest
 
 
-def test_the_start_of_a_hello_never_changes():
-    kind, payload = parts(encode(HELLO_MESSAGE))
+def test_a_hello_starts_with_its_magic_number_and_version():
+    kind, payload = kind_and_payload(encode(HELLO_MESSAGE))
     assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x11")
-    assert parts(encode(HandshakeRefused("no"))) == (REFUSE, b"no")
+    assert kind_and_payload(encode(HandshakeRefused("no"))) == (REFUSE, b"no")
 
 
 def test_a_hello_of_a_later_version_shows_its_version():
     assert decode(HELLO, b"lfld\x00\x63 unknown content") == IncompatibleHello(99)
 
 
-def checked(start: bytes, body: bytes) -> bytes:
-    """A payload that matches its checksum, with any content."""
+def with_checksum(start: bytes, body: bytes) -> bytes:
+    """A payload with any content and its correct checksum."""
     size = len(start) + 4 + len(body)
     return start + zlib.crc32(body, size).to_bytes(4, "big") + body
 
@@ -252,7 +255,7 @@ def test_invalid_bytes_are_a_wire_error(kind, payload, words):
 )
 def test_an_invalid_message_with_a_correct_checksum_is_a_wire_error(kind, start, body):
     with pytest.raises(WireError, match="cannot be read"):
-        decode(kind, checked(start, body))
+        decode(kind, with_checksum(start, body))
 
 
 @pytest.mark.parametrize(
@@ -332,7 +335,7 @@ def test_an_invalid_message_with_a_correct_checksum_is_a_wire_error(kind, start,
 )
 def test_a_value_out_of_bounds_is_a_wire_error(message):
     with pytest.raises(WireError):
-        decode(*parts(encode(message)))
+        decode(*kind_and_payload(encode(message)))
 
 
 @pytest.mark.parametrize(
@@ -345,26 +348,26 @@ def test_an_invalid_transfer_is_a_wire_error(payload):
 
 def test_a_transfer_must_have_the_size_in_its_header():
     with pytest.raises(WireError, match="promised 5 bytes and has 4"):
-        decode_transfer(parts(encode_transfer(TRANSFER_HEADER, b"four") + b"four")[1])
+        decode_transfer(kind_and_payload(encode_transfer(TRANSFER_HEADER, b"four") + b"four")[1])
 
 
 @REPEATABLE
 @given(st.sampled_from([HELLO, REFUSE, TRANSFER, CONTROL]), st.binary(max_size=200))
-def test_any_bytes_are_a_message_or_a_wire_error(kind, payload):
+def test_any_bytes_are_decoded_or_raise_a_wire_error(kind, payload):
     with suppress(WireError):
         decode_transfer(payload) if kind == TRANSFER else decode(kind, payload)
 
 
 @REPEATABLE
 @given(st.sampled_from(MESSAGES), st.data())
-def test_a_changed_message_with_a_correct_checksum_is_a_message_or_a_wire_error(message, data):
-    kind, payload = parts(encode(message))
+def test_a_changed_message_with_a_correct_checksum_is_decoded_or_a_wire_error(message, data):
+    kind, payload = kind_and_payload(encode(message))
     start = {HELLO: 6, CONTROL: 0}.get(kind)
     body = bytearray(payload if start is None else payload[start + 4 :])
     for _ in range(data.draw(st.integers(1, 3))):
         body[data.draw(st.integers(0, len(body) - 1))] = data.draw(st.integers(0, 255))
     with suppress(WireError):
-        decode(kind, bytes(body) if start is None else checked(payload[:start], bytes(body)))
+        decode(kind, bytes(body) if start is None else with_checksum(payload[:start], bytes(body)))
 
 
 def flips(data: bytes):
@@ -390,13 +393,13 @@ BLOCK = bytes(range(256))
     ids=["Hello", "TransferAccepted", "TransferQuery", "Ping", "Transfer"],
 )
 def test_a_frame_with_one_flipped_bit_is_never_accepted(data):
-    taken, foreign = [], 0
+    accepted, foreign = [], 0
 
     def read(kind, payload):
         return decode_transfer(payload) if kind == TRANSFER else decode(kind, payload)
 
     for flipped in flips(data):
-        decoder = decoder_of_a_host(1 << 20, taken)
+        decoder = decoder_of_a_host(1 << 20, accepted)
         try:
             # The next frame shows that an increased length does not hide the damage.
             for kind, payload in decoder.feed(flipped + encode(Ping(2))):
@@ -404,19 +407,19 @@ def test_a_frame_with_one_flipped_bit_is_never_accepted(data):
                 if isinstance(message, IncompatibleHello):
                     foreign += 1
                     break
-                taken.append(message)
+                accepted.append(message)
             assert decoder.is_mid_frame or isinstance(message, IncompatibleHello), (
-                "the decoder waits for the end"
+                "the decoder waits for the rest of the frame"
             )
         except WireError:
             pass
-    assert taken == []
+    assert accepted == []
     # The version precedes all fields that may change between versions: damaged, it is another version.
     assert foreign == (16 if data[4] == HELLO else 0)
 
 
 def test_a_damaged_oversize_transfer_is_not_reported():
-    """A report would throw LimitException in the program because of the damaged header."""
+    """A report from a damaged header would throw a false LimitException in the program."""
     big = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5000)
     data, skipped = encode_transfer(big, bytes(5000)), []
     for flipped in flips(data):
@@ -444,13 +447,15 @@ def test_a_long_text_is_cut_to_the_limit_of_a_message():
     assert truncate("short") == "short"
     assert len(truncate("x" * 5000)) == MAX_TEXT
     assert len(truncate("x" * 5000, MAX_LABEL)) == MAX_LABEL
-    assert len(decode(*parts(encode(HandshakeRefused("x" * 5000)))).reason) == MAX_TEXT
+    assert len(decode(*kind_and_payload(encode(HandshakeRefused("x" * 5000)))).reason) == MAX_TEXT
 
 
 def test_a_hello_with_thousands_of_ended_coordinators_is_accepted():
-    ended = [
+    ended_coordinators = [
         CoordinatorState(f"Tour:{n}", 1, 2, 3, "EXITED", "b", "died", "x" * MAX_TEXT) for n in range(4096)
     ]
-    frame = encode(replace(HELLO_MESSAGE, coordinators=ended))
-    ((kind, payload),) = frame_decoder(lambda *what: None).feed(frame)
-    assert [known.agent for known in decode(kind, payload).coordinators] == [known.agent for known in ended]
+    frame = encode(replace(HELLO_MESSAGE, coordinators=ended_coordinators))
+    ((kind, payload),) = frame_decoder(lambda *transfer: None).feed(frame)
+    assert [known.agent for known in decode(kind, payload).coordinators] == [
+        known.agent for known in ended_coordinators
+    ]

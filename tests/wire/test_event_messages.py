@@ -18,8 +18,8 @@ from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import MAX_EVENTS, EventAck, EventBatch, Subscribe, as_fields
 
 REPEATABLE = settings(derandomize=True, deadline=None)
-LEFT = events.MigrationStarted("Tour:one", 1, 7, "b", "gate", "pass", 1424)
-CAME = events.MigrationArrived("Tour:one", 1, 7, "a", 1424)
+DEPARTURE = events.MigrationStarted("Tour:one", 1, 7, "b", "gate", "pass", 1424)
+ARRIVAL = events.MigrationArrived("Tour:one", 1, 7, "a", 1424)
 STATUS = Status("a", "a:1", 0.5, b"h" * 32, b"h" * 32, [], [], [], [], [])
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=128)
@@ -43,14 +43,14 @@ BY_TYPE = {
         TEXTS, st.booleans() | st.integers(-9, 9) | SECONDS | TEXTS | st.lists(SECONDS, max_size=4)
     ),
 }
-#: Any event, made from the fields of its class.
-WHATS = st.one_of(
+#: The content of any event, generated from the fields of its class.
+EVENT_CONTENTS = st.one_of(
     [
         st.builds(kind, *(BY_TYPE[kind.__annotations__[f].replace('"', "'")] for f in kind.__struct_fields__))
         for kind in KINDS.values()
     ]
 )
-EVENTS = st.builds(Event, st.integers(0, 2**62), SECONDS, SECONDS, st.integers(0, 2**62), WHATS)
+EVENTS = st.builds(Event, st.integers(0, 2**62), SECONDS, SECONDS, st.integers(0, 2**62), EVENT_CONTENTS)
 
 
 def restored(message):
@@ -85,7 +85,7 @@ def test_json_has_every_field_by_its_name(event):
 
 
 def test_an_event_in_json_is_flat():
-    assert as_fields(Event(9, 1.5e9, 3.25, 8, LEFT)) == {
+    assert as_fields(Event(9, 1.5e9, 3.25, 8, DEPARTURE)) == {
         "number": 9,
         "at": 1.5e9,
         "up": 3.25,
@@ -107,9 +107,9 @@ def test_only_repeated_reports_are_telemetry():
 
 
 def test_no_event_has_a_field_with_a_common_name():
-    of_all = {*Event.__struct_fields__, "kind", "host"} - {"what"}
+    common_names = {*Event.__struct_fields__, "kind", "host"} - {"what"}
     for kind in KINDS.values():
-        assert of_all.isdisjoint(kind.__struct_fields__), kind
+        assert common_names.isdisjoint(kind.__struct_fields__), kind
 
 
 @pytest.mark.parametrize(
@@ -121,10 +121,10 @@ def test_no_event_has_a_field_with_a_common_name():
         Subscribe(telemetry=math.nan),
         Subscribe(telemetry=20.5),
         EventAck(-1),
-        batch(*[Event(1, 1.0, 1.0, 0, CAME)] * (MAX_EVENTS + 1)),
-        batch(Event(-1, 1.0, 1.0, 0, CAME)),
-        batch(Event(1, math.nan, 1.0, 0, CAME)),
-        batch(Event(1, 1.0, -1.0, 0, CAME)),
+        batch(*[Event(1, 1.0, 1.0, 0, ARRIVAL)] * (MAX_EVENTS + 1)),
+        batch(Event(-1, 1.0, 1.0, 0, ARRIVAL)),
+        batch(Event(1, math.nan, 1.0, 0, ARRIVAL)),
+        batch(Event(1, 1.0, -1.0, 0, ARRIVAL)),
         batch(Event(1, 1.0, 1.0, 0, events.LineLogged("x" * (MAX_TEXT + 1)))),
         batch(Event(1, 1.0, 1.0, 0, events.MigrationArrived("", 1, 1, "a", 1))),
         batch(Event(1, 1.0, 1.0, 0, events.AgentFinished("one", 1, "asleep"))),
@@ -134,6 +134,6 @@ def test_no_event_has_a_field_with_a_common_name():
         batch(now=math.inf),
     ],
 )
-def test_a_value_out_of_bounds_is_no_message(message):
+def test_an_event_message_with_a_value_out_of_bounds_is_refused(message):
     with pytest.raises(WireError):
         restored(message)

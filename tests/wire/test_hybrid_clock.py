@@ -1,4 +1,4 @@
-"""Timestamps of events: monotonic, bounded, later than received ones; and in messages."""
+"""Timestamps of events are monotonic, bounded, later than received timestamps, and sent in messages."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from lfield.wire.messages import Hello, Ping
 YEAR_2024 = 1.7e9
 
 
-class Findings:
-    """A clock whose wall clock shows YEAR_2024 at monotonic time 0, with its reports."""
+class ReportedClock:
+    """A hybrid clock whose wall clock is YEAR_2024 at monotonic time 0, and its reports."""
 
     def __init__(self) -> None:
         self.ahead: list[tuple[str, float]] = []
@@ -70,9 +70,9 @@ def test_timestamps_never_go_back_and_no_host_moves_them_beyond_the_bound(
     steps: list[tuple[str, float, int, float]],
 ) -> None:
     clock, now, highest = HybridClock(0.0, YEAR_2024), 0.0, YEAR_2024
-    for kind, passed, stamp, wall in steps:
-        before, now = clock.last, now + passed
-        highest = max(highest + passed, clock.wall_time(now))
+    for kind, elapsed, stamp, wall in steps:
+        before, now = clock.last, now + elapsed
+        highest = max(highest + elapsed, clock.wall_time(now))
         match kind:
             case "tick":
                 assert clock.tick(now) == clock.last > before
@@ -88,13 +88,13 @@ def test_timestamps_never_go_back_and_no_host_moves_them_beyond_the_bound(
 
 
 def test_a_host_too_far_ahead_is_not_followed_and_reported_once() -> None:
-    found = Findings()
+    found = ReportedClock()
     clock = found.clock
     for now in (1.0, 2.0):
         clock.merge("beta", seconds(YEAR_2024 + now + MAX_AHEAD + 30.0), now)
         assert milliseconds_of(clock.last) == int((YEAR_2024 + now) * 1000.0)
     assert found.ahead == [("beta", pytest.approx(MAX_AHEAD + 30.0, abs=0.01))]
-    # Slightly within the bound does not count as right.
+    # A clock slightly within the bound is not yet correct: the next excess is not reported again.
     clock.merge("beta", seconds(YEAR_2024 + 3.0 + MAX_AHEAD - 1.0), 3.0)
     clock.merge("beta", seconds(YEAR_2024 + 4.0 + MAX_AHEAD + 30.0), 4.0)
     assert len(found.ahead) == 1
@@ -104,7 +104,7 @@ def test_a_host_too_far_ahead_is_not_followed_and_reported_once() -> None:
 
 
 def test_a_host_within_the_bound_is_followed_and_not_reported() -> None:
-    found = Findings()
+    found = ReportedClock()
     stamp = seconds(YEAR_2024 + MAX_AHEAD - 1.0)
     found.clock.merge("beta", stamp, 1.0)
     assert found.clock.last > stamp
@@ -112,7 +112,7 @@ def test_a_host_within_the_bound_is_followed_and_not_reported() -> None:
 
 
 def test_a_wall_clock_set_back_moves_no_timestamp_back_and_is_reported() -> None:
-    found = Findings()
+    found = ReportedClock()
     before = found.clock.tick(10.0)
     found.clock.set_wall_time(11.0, YEAR_2024 - 3600.0)
     assert found.clock.tick(12.0) == before + 1
@@ -120,7 +120,7 @@ def test_a_wall_clock_set_back_moves_no_timestamp_back_and_is_reported() -> None
 
 
 def test_a_wall_clock_that_jumps_repeatedly_is_reported_once_a_minute() -> None:
-    found = Findings()
+    found = ReportedClock()
     for n in range(601):
         now = n / 4.0
         found.clock.set_wall_time(now, YEAR_2024 + now + (500.0 if n % 2 else 0.0))
@@ -154,6 +154,6 @@ def test_an_event_has_its_given_timestamp(at: float, stamp: int) -> None:
 @pytest.mark.parametrize("stamp", [-1, MAX_TIMESTAMP + 1, 2**64 - 1, 1.5, "1", None, [1]])
 def test_a_malformed_timestamp_is_refused(stamp: object) -> None:
     frame = codec.encode(Ping(7, stamp))  # type: ignore[arg-type]
-    with pytest.raises(WireError) as refusal:
+    with pytest.raises(WireError) as refused:
         codec.decode(frame[4], frame[5:])
-    assert refusal.value.code == WireError.code
+    assert refused.value.code == WireError.code

@@ -1,4 +1,4 @@
-"""Guards of devices in memory whose inputs are drawn from a seed and recorded."""
+"""Recorded guards of devices in memory, with inputs in a random order of a given seed."""
 
 from __future__ import annotations
 
@@ -70,16 +70,16 @@ class RecordedGuard:
 
     def open(self):
         clock = TurnClock(self.clock)
-        given = [("a.arm", ARM, 0.5, 30.0), ("a.eye", EYE, 0.5, 30.0)]
-        self.core = RecordedCore(GuardCore(given, clock, silence=SILENCE), clock, self.recorder)
+        devices = [("a.arm", ARM, 0.5, 30.0), ("a.eye", EYE, 0.5, 30.0)]
+        self.core = RecordedCore(GuardCore(devices, clock, silence=SILENCE), clock, self.recorder)
         self.handle(inputs.BusOpened(""))
 
     @property
     def records(self):
         return [decode_record(record) for file in self.ring.files for record in SegmentReader(BytesIO(file))]
 
-    def handle(self, given):
-        return self.core.handle(given)
+    def handle(self, event):
+        return self.core.handle(event)
 
     def call(self, token, instruction, *arguments, device="a.arm", age=0.0):
         now = self.clock.monotonic()
@@ -87,12 +87,13 @@ class RecordedGuard:
         return self.handle(inputs.CallReceived(call))
 
 
-class DrawnInputs:
-    """Drives a guard with inputs in an order drawn from a seed, like a shell and a driver."""
+class RandomInputs:
+    """Gives a guard the inputs of a shell and a driver, in a random order."""
 
     def __init__(self, seed, guard):
         self.rng, self.guard = random.Random(seed), guard
-        self.token, self.started, self.waiting, self.making, self.checking = 0, [], [], [], []
+        self.token, self.started, self.unstarted = 0, [], []
+        self.safe_commands, self.rest_checks = [], []
 
     def run(self, steps):
         for _ in range(steps):
@@ -104,24 +105,27 @@ class DrawnInputs:
         for effect in effects:
             match effect:
                 case Execute(call):
-                    self.waiting.append(call)
+                    self.unstarted.append(call)
                 case Interrupt(token):
-                    self.waiting = [call for call in self.waiting if call.token != token]
+                    self.unstarted = [call for call in self.unstarted if call.token != token]
                 case MakeSafe(device):
-                    self.making.append(device)
+                    self.safe_commands.append(device)
                 case CheckRest(device):
-                    self.checking.append(device)
+                    self.rest_checks.append(device)
 
     def choices(self):
         handle = self.guard.handle
         return [
             *[self.beat] * 6,
             *[self.call] * 4,
-            *[self.start] * 3 * bool(self.waiting),
+            *[self.start] * 3 * bool(self.unstarted),
             *[self.finish] * 3 * bool(self.started),
-            *[lambda: handle(inputs.SafeStateReached(self.making.pop()))] * 2 * bool(self.making),
-            *[lambda: handle(inputs.SafeStateFailed(self.making.pop(), "no answer"))] * bool(self.making),
-            *[self.report] * 3 * bool(self.checking),
+            *[lambda: handle(inputs.SafeStateReached(self.safe_commands.pop()))]
+            * 2
+            * bool(self.safe_commands),
+            *[lambda: handle(inputs.SafeStateFailed(self.safe_commands.pop(), "no answer"))]
+            * bool(self.safe_commands),
+            *[self.report] * 3 * bool(self.rest_checks),
             lambda: handle(inputs.TimerExpired()),
             lambda: handle(inputs.CancelReceived(self.rng.randint(1, self.token + 1), self.sent())),
             lambda: handle(inputs.SafeStateRequested(*self.rng.choice(REQUESTS))),
@@ -143,7 +147,7 @@ class DrawnInputs:
         return self.guard.call(self.token, name, *arguments, device=device, age=self.rng.choice((0.0, 0.4)))
 
     def start(self):
-        call = self.waiting.pop(self.rng.randrange(len(self.waiting)))
+        call = self.unstarted.pop(self.rng.randrange(len(self.unstarted)))
         if self.guard.core.start_call(call):
             return self.guard.handle(inputs.CallRefused(call.token, "DeviceException", "too late"))
         self.started.append(call.token)
@@ -163,7 +167,7 @@ class DrawnInputs:
 
     def report(self):
         return self.guard.handle(
-            inputs.MotionReported(self.checking.pop(), self.rng.choice(("", "it sinks")))
+            inputs.MotionReported(self.rest_checks.pop(), self.rng.choice(("", "it sinks")))
         )
 
 

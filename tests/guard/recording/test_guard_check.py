@@ -1,11 +1,11 @@
-"""`lfield replay` compares the decisions of guards too."""
+"""`lfield replay` also replays the recordings of guards, and compares their decisions."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
 
-from recorded_guards import DrawnInputs, RecordedGuard
+from recorded_guards import RandomInputs, RecordedGuard
 
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Exit
@@ -14,18 +14,18 @@ from lfield.replay.team_check import check_guards
 
 
 def team(folder: Path) -> SimpleNamespace:
-    """A recording of one host, whose core does not matter here."""
+    """A recording of one host, without the records of its core."""
     part = SimpleNamespace(start=SimpleNamespace(incarnation=7))
     incarnation = SimpleNamespace(folder=folder, host="alpha", parts=(part,))
     return SimpleNamespace(incarnations=(incarnation,))
 
 
 def recorded(folder: Path) -> list[Path]:
-    guard = DrawnInputs(7, RecordedGuard(limit=5000)).run(200)
+    guard = RandomInputs(7, RecordedGuard(limit=5000)).run(200)
     guard.recorder.close()
-    own = guard_folder(folder, "a.arm")
-    own.mkdir()
-    return guard.ring.stored(own)
+    ring_folder = guard_folder(folder, "a.arm")
+    ring_folder.mkdir()
+    return guard.ring.stored(ring_folder)
 
 
 def test_guards_of_a_host_are_replayed_and_differences_counted(tmp_path, monkeypatch):

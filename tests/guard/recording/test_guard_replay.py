@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded_guards import FOLDER, DrawnInputs, RecordedGuard
+from recorded_guards import FOLDER, RandomInputs, RecordedGuard
 
 from lfield.errors import RecordingError
 from lfield.guard.core import GuardCore
@@ -33,7 +33,7 @@ from lfield.recording.segments import MAGIC, SegmentReader, frame
 @settings(max_examples=150, deadline=None)
 @given(st.integers(), st.sampled_from([None, 1, 6000]), st.floats(0.0, 1e7))
 def test_replay_of_random_inputs_makes_identical_decisions(tmp_path_factory, seed, limit, start):
-    guard = DrawnInputs(seed, RecordedGuard(limit, start)).run(60)
+    guard = RandomInputs(seed, RecordedGuard(limit, start)).run(60)
     guard.recorder.close()
     result = replay_guard(guard.ring.stored(tmp_path_factory.mktemp("ring")))
     assert (result.differences, result.first, result.cut, result.missing) == (0, None, {}, [])
@@ -42,7 +42,7 @@ def test_replay_of_random_inputs_makes_identical_decisions(tmp_path_factory, see
 
 
 def test_each_segment_is_replayed_without_the_earlier_ones(tmp_path):
-    guard = DrawnInputs(7, RecordedGuard(limit=5000)).run(400)
+    guard = RandomInputs(7, RecordedGuard(limit=5000)).run(400)
     guard.recorder.close()
     paths = guard.ring.stored(tmp_path)
     assert len(paths) > 4
@@ -99,29 +99,29 @@ def test_call_accepted_in_one_segment_may_start_in_the_next(tmp_path):
 
 
 def test_truncated_file_is_replayed_up_to_its_end(tmp_path):
-    guard = DrawnInputs(3, RecordedGuard()).run(5)
+    guard = RandomInputs(3, RecordedGuard()).run(5)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     data = path.read_bytes()
-    whole, before = replay_guard([path]), 0
+    whole, previous = replay_guard([path]), 0
     ends = {len(MAGIC)}
     for record in SegmentReader(BytesIO(data)):
         ends.add(max(ends) + len(frame(record)))
     first = sorted(ends)[1]
-    # No part of the long first record is usable: not every truncation of it is tried.
+    # A truncated first record is unusable, and it is long: only some of its truncations are tested.
     for size in [*range(10), *range(10, first, 37), *range(first - 3, len(data))]:
         path.write_bytes(data[:size])
         result = replay_guard([path])
-        assert before <= result.digests <= whole.digests
+        assert previous <= result.digests <= whole.digests
         assert result.differences == 0
         assert bool(result.cut) == (size > len(MAGIC) and size not in ends)
         assert bool(result.missing) == (size < first)
-        before = result.digests
-    assert before == whole.digests - 1
+        previous = result.digests
+    assert previous == whole.digests - 1
 
 
 def test_replay_of_a_damaged_file_ends_at_the_damage(tmp_path):
-    guard = DrawnInputs(4, RecordedGuard()).run(12)
+    guard = RandomInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     data = path.read_bytes()
@@ -146,9 +146,9 @@ def changed(rng, value):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_changed_record_with_a_valid_checksum_is_survived(tmp_path, seed):
+def test_changed_record_with_a_valid_checksum_does_not_break_the_replay(tmp_path, seed):
     rng = random.Random(seed)
-    guard = DrawnInputs(4, RecordedGuard()).run(12)
+    guard = RandomInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     records = list(SegmentReader(BytesIO(path.read_bytes())))
@@ -162,7 +162,7 @@ def test_changed_record_with_a_valid_checksum_is_survived(tmp_path, seed):
 
 @pytest.mark.parametrize("pulses", [Pulses(math.nan, []), Pulses(math.inf, [0, 0]), Pulses(1.0, [0])])
 def test_invalid_pulses_are_refused(tmp_path, pulses):
-    guard = DrawnInputs(4, RecordedGuard()).run(12)
+    guard = RandomInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     path.write_bytes(path.read_bytes() + framed(pulses))
@@ -197,7 +197,7 @@ def test_missing_file_is_named(tmp_path):
 
 
 def test_unreadable_file_does_not_hide_the_others(tmp_path):
-    guard = DrawnInputs(4, RecordedGuard()).run(12)
+    guard = RandomInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     other = tmp_path / "guard-a-000000.lfrec"
@@ -236,9 +236,9 @@ def test_secrets_of_a_binding_are_not_recorded():
 def test_pulses_are_stored_exactly_or_refused(pulses):
     collector, added, read = PulseCollector(), [], []
     for time, delay, is_timer in sorted(pulses):
-        given = inputs.TimerExpired() if is_timer else inputs.HostBeat(time - delay)
-        if collector.add(time, given):
-            added.append((time, given))
+        event = inputs.TimerExpired() if is_timer else inputs.HostBeat(time - delay)
+        if collector.add(time, event):
+            added.append((time, event))
         if collector.is_full:
             read += pulses_in(collector.record())
     if (rest := collector.record()) is not None:

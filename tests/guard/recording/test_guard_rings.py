@@ -89,8 +89,8 @@ def failures_in(received):
     return [note.text for note in received if isinstance(note, Note) and note.code == "recording-ended"]
 
 
-async def both_failures(output):
-    """Waits for the notes of the threads, in real time."""
+async def wait_for_both_failures(output):
+    """Waits in real time for the notes of both writer threads."""
     end = time.monotonic() + 5.0
     while len(failures_in(output.received)) < 2:
         assert time.monotonic() < end
@@ -136,7 +136,7 @@ def test_full_ring_stays_within_its_limit_and_is_replayable(folder):
 
 
 def test_ring_smaller_than_the_guard_state_still_has_records(folder):
-    """A file whose first record exceeds its share is not full with its next record."""
+    """A file whose first record is larger than its share of the limit still takes further records."""
     run_guard(folder, 4 * 6400, calls=300)
     ((_, paths),) = rings_in(folder.parent).items()
     first = read_segment(paths[0])
@@ -148,7 +148,7 @@ def test_ring_smaller_than_the_guard_state_still_has_records(folder):
 
 @contextmanager
 def file_size_limit(size):
-    """A disk that is full after so many bytes of a file."""
+    """Limits each file to `size` bytes, like a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -159,7 +159,7 @@ def file_size_limit(size):
 
 def test_full_disk_ends_each_log_with_one_note_not_the_guard(folder):
     with file_size_limit(64):
-        received = run_guard(folder, story=both_failures)
+        received = run_guard(folder, story=wait_for_both_failures)
     found = failures_in(received)
     assert len(found) == 2
     assert any(f"{folder.name}/{RECORDS}.lfrec" in text for text in found)
@@ -171,7 +171,7 @@ def test_full_disk_ends_each_log_with_one_note_not_the_guard(folder):
 @pytest.mark.parametrize("place", ["removed", "a file", "/proc/self"])
 def test_unwritable_folder_ends_the_logs_not_the_guard(folder, place):
     (folder / "a file").touch()
-    received = run_guard(folder / place, story=both_failures)
+    received = run_guard(folder / place, story=wait_for_both_failures)
     assert len(failures_in(received)) == 2
 
 
@@ -188,7 +188,7 @@ def test_slow_disk_ends_the_ring(tmp_path, monkeypatch):
     ring.close()
 
 
-def test_oldest_files_are_deleted_also_from_an_earlier_process(tmp_path):
+def test_ring_deletes_the_oldest_files_including_those_of_an_earlier_process(tmp_path):
     for number in (3, 4):
         (tmp_path / f"x-{number:06d}.log").write_bytes(bytes(40))
     (tmp_path / "x-other-000001.log").write_bytes(bytes(40))

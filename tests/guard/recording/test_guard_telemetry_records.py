@@ -15,7 +15,7 @@ from lfield.manifest import Observation
 
 
 def observe(guard, seconds, is_foreign=False, **values):
-    """Telemetry after some seconds."""
+    """The device reports these values `seconds` after the previous report."""
     guard.clock.advance(seconds)
     now = guard.clock.monotonic()
     observed = {name: Observation(value, now - 0.01) for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""A recording guard process in its sandbox, which is killed."""
+"""A guard process in its sandbox records, is killed, and is restarted."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ pytestmark = pytest.mark.process
 
 
 def finished_calls(folder):
-    """The tokens of the calls whose end is on disk."""
+    """The tokens of the calls whose results are on the disk."""
     records = [record for paths in rings_in(folder).values() for record in read_segment(paths[-1]).records]
-    given = [record.given for record in records if isinstance(record, InputRecord)]
-    return [each.token for each in given if isinstance(each, inputs.CallFinished)]
+    events = [record.given for record in records if isinstance(record, InputRecord)]
+    return [event.token for event in events if isinstance(event, inputs.CallFinished)]
 
 
 def logged_bytes(folder):

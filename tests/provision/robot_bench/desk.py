@@ -1,7 +1,7 @@
-"""The home folder of a desk for the tests: an inventory, an authority, and wheels that need no package index.
+"""The home folder of a desk for the tests: an inventory, an authority, and wheels, without a package index.
 
-The wheels are built from the environment of the tests, and only for the imports of `lfield doctor`, so
-that an installation takes seconds. The wheels of a lock file are tested without robots.
+The wheels are built from the environment of the tests. There are only those that `lfield doctor` imports, so
+that an installation takes seconds. The complete lock file is tested without robots.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NAMES = (
     *("cffi", "cryptography", "markdown-it-py", "mdurl", "msgspec", "pip", "platformdirs", "pycparser"),
     *("Pygments", "PyYAML", "rich"),
 )
-#: Variables that name folders of this user; the runtime directory of the tests is their own.
+#: Variables that name folders of this user. XDG_RUNTIME_DIR is kept: the tests have their own.
 _SETTINGS = ("XDG_C", "XDG_D", "XDG_S", "LFIELD_")
 LFIELD = Path(sys.executable).with_name("lfield")
 PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
@@ -61,12 +61,12 @@ class Desk:
         hosts = "".join(f"  {name}:\n    addresses: [{place}]\n{extra}" for name, place in addresses.items())
         self.inventory.write_text(f"hosts:\n{hosts}")
 
-    def collect_wheels(self, made: Path, arch: str = os.uname().machine, python: str = PYTHON) -> None:
-        """Fills the cache of a platform with the wheels in the folder `made`."""
+    def collect_wheels(self, wheels: Path, arch: str = os.uname().machine, python: str = PYTHON) -> None:
+        """Fills the cache of a platform with the wheels in the folder `wheels`."""
         target = WheelTarget(arch, python)
         folder = self.cache / "wheels" / str(target)
         folder.mkdir(parents=True, exist_ok=True)
-        for path in made.glob("*.whl"):
+        for path in wheels.glob("*.whl"):
             (folder / path.name).hardlink_to(path)
         lock = [pin for pin in read_lock(deployment_file(LOCK).decode(), LOCK) if pin.name != ZENOH]
         pins = needed_pins(lock, target)

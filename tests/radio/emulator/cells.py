@@ -1,4 +1,4 @@
-"""Parameters of a poor radio: of a direction, of a shared channel, and the measured cells."""
+"""Parameters of a poor radio link and of a shared channel, and the cells that are measured."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from dataclasses import asdict, dataclass, field
 class Link:
     """One direction of a pair of robots.
 
-    `delay` is one way and `jitter` the width of a uniform addition, in s; packets stay in order. `loss` is
-    the probability that a packet is lost. `fade` is the share of time in which a pair loses all packets of
-    both directions, `burst` the mean length of such a time in s (exponential: the Gilbert-Elliott model).
+    `delay` is the one-way delay; `jitter` is the width of a uniform addition to the delay (both in s).
+    Packets stay in order. `loss` is the probability that a packet is lost. `fade` is the share of time in
+    which a pair loses all packets of both directions; `burst` is the mean duration of a fade in s
+    (exponential: Gilbert-Elliott model).
     """
 
     delay: float = 0.0
@@ -24,9 +25,10 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A half-duplex channel that all robots share: one of them sends at a time, in turns.
+    """A half-duplex channel that all robots share: one robot sends at a time, in turns.
 
-    `rate` in bit/s, 0 for no limit. `queue`: bytes that wait in each sender at most; more are lost.
+    `rate` is in bit/s, 0 for no limit. `queue` is the size of the queue of each sender in bytes; a packet
+    is lost if it does not fit.
     """
 
     rate: float = 0.0
@@ -50,7 +52,7 @@ class Cell:
         return cls(Link(**data["link"]), Channel(data["channel"]["rate"], int(data["channel"]["queue"])))
 
 
-#: The names give the round trip; loss is of each direction.
+#: A name has the round-trip delay, and the loss of each direction.
 CELLS = {
     "perfect": Cell(),
     "50 ms": Cell(Link(delay=0.025, jitter=0.002)),

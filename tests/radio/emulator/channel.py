@@ -1,4 +1,4 @@
-"""A half-duplex channel that several senders share: the order of transmissions. It has no clock."""
+"""A half-duplex channel that several senders share: the order of transmissions, without a clock."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class _Queued(NamedTuple, Generic[T]):
 
 
 class SharedChannel(Generic[T]):
-    """Senders by number take turns, one packet each, as with a token.
+    """Senders, by number, send one packet each in turn, as in a token-passing network.
 
-    All times must be given in order. Sizes are bytes.
+    The times of successive calls must not decrease. Sizes are in bytes.
     """
 
     def __init__(self, channel: Channel, senders: int) -> None:
@@ -63,7 +63,7 @@ class SharedChannel(Generic[T]):
             yield Transmission(sender, queued.item, begin, self._free_at)
 
     def _next_sender(self) -> int | None:
-        """The queued packet that comes first after the last sender."""
+        """The next sender in turn that has a queued packet."""
         count = len(self._queues)
         order = ((self._last + 1 + step) % count for step in range(count))
         return next((sender for sender in order if self._queues[sender]), None)

@@ -1,14 +1,15 @@
-"""Robots on one computer that have a poor radio only: a network namespace and a TUN device each.
+"""Robots on one computer, connected by a poor radio only: a network namespace and a TUN device each.
 
     with Radio("alpha", "bravo", seed=1) as radio:
         radio.set(CELLS["20 %"])
         server = radio["bravo"].start(["lfield", "up", ...])   # a Popen, killed with the radio
         radio["alpha"].run(["lfield", "estop", ...])
-        radio.cut(5.0, "alpha")                                # all its packets, or those of a pair
-        radio["alpha"].move("10.77.0.71")                      # it has this address from now on
+        radio.cut(5.0, "alpha")                                # loses all packets of a robot, or of a pair
+        radio["alpha"].move("10.77.0.71")                      # changes its address
         radio.counts()                                         # packets and bytes by direction and port
 
-It needs root, /dev/net/tun, unshare, nsenter and ip (`missing`). It touches no network of the computer.
+The radio needs root, /dev/net/tun, unshare, nsenter and ip (`missing`). The networks of the computer do not
+change.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ from typing import Any, NamedTuple, Self
 from emulator.cells import Cell, Link
 from emulator.tun import DEVICE
 
-#: The networks that all robots are in; their numbers begin with 1.
+#: The networks of all robots; the numbers of robots begin with 1.
 NETWORK, NETWORK_V6 = "10.77.0.", "fd77::"
-#: Bytes: less than Ethernet has, as on most radios.
+#: In bytes: smaller than that of Ethernet, as on most radios.
 MTU = 1400
-_PATIENCE = 10.0
+_TIMEOUT = 10.0
 
 
 class Flow(NamedTuple):
-    """A direction and a service: `to` is "" for packets to no robot, `port` the lower one of both."""
+    """A direction and a service: `to` is "" for packets to no robot, `port` the lower of both ports."""
 
     source: str
     to: str
@@ -63,7 +64,7 @@ class Robot:
         self.name, self.address = name, f"{NETWORK}{number}"
         self.address_v6 = f"{NETWORK_V6}{number}" if ipv6 else ""
         self._radio = radio
-        # It lives as long as its stdin is open: until this process closes it, or ends.
+        # This process holds the namespace until its stdin is closed: by `close`, or at the end of the tests.
         self._holder = subprocess.Popen(
             ["unshare", "--net", "sh", "-c", "echo; exec cat"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
@@ -112,11 +113,11 @@ class Robot:
         self.run(["sh", "-ec", script], check=True)
 
     def move(self, address: str) -> None:
-        """Exchange its IPv4 address, as roaming or DHCP do: sockets that are bound to the old one stay so."""
+        """Change the IPv4 address, as roaming or DHCP do; bound sockets keep the old address."""
         script = f"ip addr add {address}/24 dev {DEVICE}; ip addr del {self.address}/24 dev {DEVICE}"
         self.run(["sh", "-ec", script], check=True)
         self.address = address
-        self._radio.ask("move", one=self.name, addresses=self.addresses)
+        self._radio.request("move", one=self.name, addresses=self.addresses)
 
     def close(self) -> None:
         """End the namespace, once its last process has ended."""
@@ -124,26 +125,27 @@ class Robot:
         assert self._holder.stdout is not None
         self._holder.stdin.close()
         self._holder.stdout.close()
-        self._holder.wait(_PATIENCE)
+        self._holder.wait(_TIMEOUT)
 
 
 class Radio:
-    """Robots by name, the router between them, and the processes that were started; all end with a `with`.
+    """Robots by name, the router between them, and the started processes; all end with the `with` block.
 
-    Everything is perfect at first. Raises OSError or subprocess.CalledProcessError where `missing` says why.
+    The radio is perfect at first. Raises OSError or subprocess.CalledProcessError if a requirement is
+    missing (`missing` names it).
     """
 
     def __init__(self, *names: str, seed: int = 1, congestion: str = "cubic", ipv6: bool = False) -> None:
         self._open, self._robots = ExitStack(), dict[str, Robot]()
-        with ExitStack() as made:
+        with ExitStack() as cleanup:
             for number, name in enumerate(names, 1):
                 self._robots[name] = Robot(name, number, self, ipv6)
-                made.callback(self._robots[name].close)
+                cleanup.callback(self._robots[name].close)
             self._router = self._start_router(seed)
-            made.callback(self._end_router)
+            cleanup.callback(self._end_router)
             for robot in self._robots.values():
                 robot.configure(congestion)
-            self._open = made.pop_all()
+            self._open = cleanup.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -159,34 +161,34 @@ class Radio:
 
     def set(self, cell: Cell) -> None:
         """Set the radio of all pairs."""
-        self.ask("cell", cell=cell.as_json())
+        self.request("cell", cell=cell.as_json())
 
     def set_link(self, link: Link, one: str, other: str) -> None:
         """Set both directions of one pair, until the next `set`."""
-        self.ask("link", link=asdict(link), one=one, other=other)
+        self.request("link", link=asdict(link), one=one, other=other)
 
     def cut(self, seconds: float, one: str, other: str | None = None) -> float:
         """Lose all packets of a robot, or of a pair. Returns the monotonic time of the path's return."""
-        self.ask("cut", seconds=seconds, one=one, other=other)
+        self.request("cut", seconds=seconds, one=one, other=other)
         return time.monotonic() + seconds
 
     def mend(self) -> None:
         """End all cuts."""
-        self.ask("mend")
+        self.request("mend")
 
     def counts(self) -> dict[Flow, Count]:
         """Counts of the packets of each flow since the start or the last `reset`."""
-        return {Flow(*row[:4]): Count(*row[4:]) for row in self.ask("counts")}
+        return {Flow(*row[:4]): Count(*row[4:]) for row in self.request("counts")}
 
     def total(self, port: int | None = None) -> Count:
-        """The sum of all, or of one port."""
+        """The sum of all flows, or of the flows of one port."""
         return sum((c for flow, c in self.counts().items() if port in (None, flow.port)), Count())
 
     def reset(self) -> None:
-        """Count from here."""
-        self.ask("reset")
+        """Set all counts to zero."""
+        self.request("reset")
 
-    def ask(self, order: str, **words: object) -> Any:
+    def request(self, order: str, **words: object) -> Any:
         """Send a request to the router; returns its answer."""
         assert self._router.stdin is not None
         assert self._router.stdout is not None
@@ -201,7 +203,7 @@ class Radio:
         self._open.callback(_end, process)
 
     def close(self) -> None:
-        """End all started processes, the youngest first."""
+        """End all started processes, the last started first."""
         self._open.close()
 
     def _start_router(self, seed: int) -> subprocess.Popen[str]:
@@ -226,7 +228,7 @@ class Radio:
         assert self._router.stdout is not None
         self._router.stdin.close()
         self._router.stdout.close()
-        self._router.wait(_PATIENCE)
+        self._router.wait(_TIMEOUT)
 
 
 def _end(process: subprocess.Popen[Any]) -> None:

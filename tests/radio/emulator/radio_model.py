@@ -1,4 +1,4 @@
-"""The model of the radio: which packets arrive, and when. It has no clock and no socket."""
+"""The model of the radio: losses and arrival times of packets, without a clock or a socket."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from emulator.cells import Cell, Link
 from emulator.channel import SharedChannel
 
 #: Sender and receiver.
-Way = tuple[int, int]
+Direction = tuple[int, int]
 
 
 class Delivery(NamedTuple):
@@ -23,14 +23,14 @@ class Delivery(NamedTuple):
 
 
 class _Sent(NamedTuple):
-    way: Way
+    direction: Direction
     packet: bytes
     lost: bool
     jitter: float
 
 
 class _Fades:
-    """The times in which a pair loses everything. It must be queried in the order of time."""
+    """The times in which a pair loses all packets. The times of successive calls must not decrease."""
 
     def __init__(self, link: Link, start: float, rng: random.Random) -> None:
         self._rng, self._until, self._faded = rng, start, True
@@ -54,15 +54,15 @@ class Air:
 
     def __init__(self, names: Sequence[str], seed: int) -> None:
         self._names, self._seed = names, seed
-        self._cell, self._links = Cell(), dict[Way, Link]()
+        self._cell, self._links = Cell(), dict[Direction, Link]()
         self._channel: SharedChannel[_Sent] | None = None
-        self._rng: dict[Way, random.Random] = {}
-        self._fades: dict[Way, _Fades] = {}
-        self._cut_until: defaultdict[Way, float] = defaultdict(float)
-        self._last_arrival: defaultdict[Way, float] = defaultdict(float)
-        self._under_way: list[tuple[float, int, Delivery]] = []
+        self._rng: dict[Direction, random.Random] = {}
+        self._fades: dict[Direction, _Fades] = {}
+        self._cut_until: defaultdict[Direction, float] = defaultdict(float)
+        self._last_arrival: defaultdict[Direction, float] = defaultdict(float)
+        self._in_flight: list[tuple[float, int, Delivery]] = []
         self._count = 0
-        self._lost: list[tuple[Way, bytes]] = []
+        self._lost: list[tuple[Direction, bytes]] = []
 
     def set_cell(self, cell: Cell) -> None:
         """Set all pairs and the channel. Drop queued packets and draw new fades."""
@@ -87,32 +87,32 @@ class Air:
 
     def send(self, now: float, source: int, to: int, packet: bytes) -> None:
         """A robot sends a packet."""
-        way = source, to
-        link, dice = self._link(way), self._dice_of(way)
-        # Both are drawn for every packet, so that one parameter does not change the fate of the next packets.
-        sent = _Sent(way, packet, dice.random() < link.loss, dice.random() * link.jitter)
+        direction = source, to
+        link, rng = self._link(direction), self._rng_of(direction)
+        # Each packet uses two random numbers, so that one parameter does not change later packets.
+        sent = _Sent(direction, packet, rng.random() < link.loss, rng.random() * link.jitter)
         if self._channel is None:
             self._transmit(sent, now, now)
             return
         self._serve_channel(now)
         if not self._channel.offer(now, source, sent, len(packet)):
-            self._lost.append((way, packet))
+            self._lost.append((direction, packet))
         self._serve_channel(now)
 
     def advance(self, now: float) -> Iterator[Delivery]:
         """Packets that have arrived by now, in the order of time."""
         self._serve_channel(now)
-        while self._under_way and self._under_way[0][0] <= now:
-            yield heapq.heappop(self._under_way)[2]
+        while self._in_flight and self._in_flight[0][0] <= now:
+            yield heapq.heappop(self._in_flight)[2]
 
     def next_event(self) -> float | None:
         """Time of the next arrival or transmission; None when nothing is pending."""
-        times = [self._under_way[0][0]] if self._under_way else []
+        times = [self._in_flight[0][0]] if self._in_flight else []
         if self._channel is not None and (free := self._channel.next_event) is not None:
             times.append(free)
         return min(times, default=None)
 
-    def pop_lost(self) -> list[tuple[Way, bytes]]:
+    def pop_lost(self) -> list[tuple[Direction, bytes]]:
         """The packets that were lost since the last call."""
         lost, self._lost = self._lost, []
         return lost
@@ -123,33 +123,35 @@ class Air:
                 self._transmit(transmission.item, transmission.start, transmission.end)
 
     def _transmit(self, sent: _Sent, start: float, end: float) -> None:
-        link, pair = self._link(sent.way), _pair(*sent.way)
+        link, pair = self._link(sent.direction), _pair(*sent.direction)
         if (
             sent.lost
             or self._cut_until[pair] > start
             or (link.fade and self._fades_of(pair, start).at(start))
         ):
-            self._lost.append((sent.way, sent.packet))
+            self._lost.append((sent.direction, sent.packet))
             return
-        arrival = max(end + link.delay + sent.jitter, self._last_arrival[sent.way])
-        self._last_arrival[sent.way] = arrival
+        arrival = max(end + link.delay + sent.jitter, self._last_arrival[sent.direction])
+        self._last_arrival[sent.direction] = arrival
         self._count += 1
-        heapq.heappush(self._under_way, (arrival, self._count, Delivery(sent.way[1], sent.packet)))
+        heapq.heappush(self._in_flight, (arrival, self._count, Delivery(sent.direction[1], sent.packet)))
 
-    def _link(self, way: Way) -> Link:
-        return self._links.get(_pair(*way), self._cell.link)
+    def _link(self, direction: Direction) -> Link:
+        return self._links.get(_pair(*direction), self._cell.link)
 
-    def _dice_of(self, way: Way) -> random.Random:
-        if way not in self._rng:
-            self._rng[way] = random.Random(f"{self._seed}/{self._names[way[0]]}>{self._names[way[1]]}")
-        return self._rng[way]
+    def _rng_of(self, direction: Direction) -> random.Random:
+        if direction not in self._rng:
+            self._rng[direction] = random.Random(
+                f"{self._seed}/{self._names[direction[0]]}>{self._names[direction[1]]}"
+            )
+        return self._rng[direction]
 
-    def _fades_of(self, pair: Way, now: float) -> _Fades:
+    def _fades_of(self, pair: Direction, now: float) -> _Fades:
         if pair not in self._fades:
-            dice = random.Random(f"{self._seed}/fades/{self._names[pair[0]]}/{self._names[pair[1]]}")
-            self._fades[pair] = _Fades(self._link(pair), now, dice)
+            rng = random.Random(f"{self._seed}/fades/{self._names[pair[0]]}/{self._names[pair[1]]}")
+            self._fades[pair] = _Fades(self._link(pair), now, rng)
         return self._fades[pair]
 
 
-def _pair(one: int, other: int) -> Way:
+def _pair(one: int, other: int) -> Direction:
     return min(one, other), max(one, other)

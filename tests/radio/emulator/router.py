@@ -1,8 +1,8 @@
 """The process between the robots: packets from and to their TUN devices, through the model of the radio.
 
 `python -m emulator.router` reads one JSON object a line from stdin and answers each with one line. The
-first has the seed and, of each robot, its name, its addresses and the id of a process in its network
-namespace. It ends at the end of stdin.
+first line has the seed and, for each robot, its name, its addresses and the id of a process in its network
+namespace. The router ends at the end of stdin.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from emulator.packets import Header, read_header
 from emulator.radio_model import Air
 from emulator.tun import open_tun
 
-#: Packets that are read from one device before the others have their turn.
-_AT_A_TIME = 64
+#: Packets that are read from one device before the next device is read.
+_MAX_READS = 64
 _LARGEST = 1 << 16
 #: In a count: packets, bytes, packets lost, packets with payload, bytes of payload.
 FIELDS = 5
@@ -50,14 +50,14 @@ class Router:
         }
 
     def serve(self) -> None:
-        """Until the end of stdin."""
+        """Serve requests and packets until the end of stdin."""
         control = sys.stdin.fileno()
         numbers = {tun: number for number, tun in enumerate(self._tuns)}
         unread = b""
         while True:
             event = self._air.next_event()
-            patience = None if event is None else max(0.0, event - time.monotonic())
-            for descriptor in select.select([control, *numbers], (), (), patience)[0]:
+            timeout = None if event is None else max(0.0, event - time.monotonic())
+            for descriptor in select.select([control, *numbers], (), (), timeout)[0]:
                 if descriptor != control:
                     self._read(numbers[descriptor])
                     continue
@@ -66,7 +66,7 @@ class Router:
                     return
                 *lines, unread = (unread + data).split(b"\n")
                 for line in lines:
-                    self._obey(json.loads(line))
+                    self._answer(json.loads(line))
             for to, packet in self._air.advance(time.monotonic()):
                 self._write(to, packet)
             for (source, to), packet in self._air.pop_lost():
@@ -74,7 +74,7 @@ class Router:
                     self._count(self._names[source], self._names[to], header)[2] += 1
 
     def _read(self, source: int) -> None:
-        for _ in range(_AT_A_TIME):
+        for _ in range(_MAX_READS):
             try:
                 packet = os.read(self._tuns[source], _LARGEST)
             except BlockingIOError:
@@ -102,12 +102,12 @@ class Router:
     def _count(self, source: str, to: str, header: Header) -> list[int]:
         return self._counts.setdefault((source, to, header.protocol, header.port), [0] * FIELDS)
 
-    def _obey(self, order: dict[str, Any]) -> None:
+    def _answer(self, order: dict[str, Any]) -> None:
         answer = self._orders[order.pop("do")](**order)
         print(json.dumps(answer), flush=True)
 
     def _cut(self, seconds: float, one: str, other: str | None = None) -> None:
-        """Of one robot and another, or all others."""
+        """Cut one robot from another, or from all others."""
         for name in [other] if other else [name for name in self._names if name != one]:
             number, of_name = self._numbers(one, name)
             self._air.cut(number, of_name, time.monotonic() + seconds)
@@ -122,7 +122,7 @@ class Router:
 
 
 def packed(address: str) -> bytes:
-    """An address as it stands in a packet."""
+    """An address in the bytes of a packet."""
     return socket.inet_pton(socket.AF_INET6 if ":" in address else socket.AF_INET, address)
 
 

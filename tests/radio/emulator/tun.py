@@ -1,4 +1,4 @@
-"""TUN devices in network namespaces, and what a computer needs for them (tuntap.rst, setns(2))."""
+"""TUN devices in network namespaces, and their requirements (tuntap.rst, setns(2))."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def missing() -> str:
         return f"the emulated radio needs {CLONE}: load the kernel module tun"
     if absent := [tool for tool in _TOOLS if shutil.which(tool) is None]:
         return f"the emulated radio needs {', '.join(absent)}: install util-linux and iproute2"
-    tried = subprocess.run(["unshare", "--net", "true"], capture_output=True, text=True)
-    if tried.returncode:
-        return f"the emulated radio needs network namespaces: {tried.stderr.strip()}"
+    result = subprocess.run(["unshare", "--net", "true"], capture_output=True, text=True)
+    if result.returncode:
+        return f"the emulated radio needs network namespaces: {result.stderr.strip()}"
     try:
         os.close(os.open(CLONE, os.O_RDWR))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Missing requirements of the emulated radio: one sentence that tests and the benchmark print."""
+"""Missing requirements of the emulated radio are reported by name: root, the TUN device, tools."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Control characters never reach a terminal."""
+"""Control characters are escaped before text reaches a terminal."""
 
 import io
 import re
@@ -25,7 +25,7 @@ from lfield.text.terminal_escape import (
 
 
 @pytest.mark.parametrize(
-    ("text", "shown"),
+    ("text", "escaped"),
     [
         ("plain", "plain"),
         ("ü 日本 🤖 \u00a0", "ü 日本 🤖 \u00a0"),
@@ -38,8 +38,8 @@ from lfield.text.terminal_escape import (
         ("two\n\tlines\0", "two\n\tlines\\0"),
     ],
 )
-def test_control_characters_are_escaped(text: str, shown: str) -> None:
-    assert escape(text) == shown
+def test_control_characters_are_escaped(text: str, escaped: str) -> None:
+    assert escape(text) == escaped
 
 
 @pytest.mark.parametrize(
@@ -59,14 +59,14 @@ def test_characters_outside_an_encoding_are_escaped() -> None:
 
 @given(st.text())
 def test_escaped_line_is_one_line(text: str) -> None:
-    shown = escape_line(text)
-    assert len(shown.splitlines()) <= 1
-    assert not any(ord(ch) < 32 or 127 <= ord(ch) < 160 for ch in shown)
-    assert escape_line(shown) == shown
+    escaped = escape_line(text)
+    assert len(escaped.splitlines()) <= 1
+    assert not any(ord(ch) < 32 or 127 <= ord(ch) < 160 for ch in escaped)
+    assert escape_line(escaped) == escaped
 
 
 @pytest.mark.parametrize(
-    ("text", "shown"),
+    ("text", "escaped"),
     [
         ("one", "one"),
         ("died\n    at fly:3", "died\n    at fly:3"),
@@ -74,8 +74,8 @@ def test_escaped_line_is_one_line(text: str) -> None:
         ("two\n\x1b[2J", "two\n    \\u{1b}[2J"),
     ],
 )
-def test_text_with_lines_is_indented(text: str, shown: str) -> None:
-    assert escape_indented(text) == shown
+def test_text_with_lines_is_indented(text: str, escaped: str) -> None:
+    assert escape_indented(text) == escaped
 
 
 def test_long_text_is_truncated() -> None:
@@ -85,8 +85,8 @@ def test_long_text_is_truncated() -> None:
 def test_finding_is_bounded_and_escaped() -> None:
     source = Source("a\x1bb.L", "x" * 7000)
     found = FindingTable("L3", warnings="L9").message("L301", "no '{name}' here", "declare {name}")
-    drawn = found.at(Span(source, 0, 7000), name="x" * 7000).render()
-    assert max(map(len, drawn.splitlines())) <= 260
+    output = found.at(Span(source, 0, 7000), name="x" * 7000).render()
+    assert max(map(len, output.splitlines())) <= 260
     assert Diagnostic("L1", "an \x1b[31mid", Span(source, 0, 1), "say \a").render().splitlines() == [
         "a\\u{1b}b.L:1:1: error[L1]: an \\u{1b}[31mid",
         "    " + "x" * 160,
@@ -95,31 +95,35 @@ def test_finding_is_bounded_and_escaped() -> None:
     ]
 
 
-class Screen(io.StringIO):
+class TerminalStream(io.StringIO):
     def isatty(self) -> bool:
         return True
 
 
 def test_terminal_gets_escaped_text_and_a_file_all_bytes() -> None:
     text = "\x1b[31mred\x9b2J\ttab\r\n"
-    screen, file = Screen(), io.StringIO()
-    print(text, end="", file=escaping_stream(screen))
+    terminal, file = TerminalStream(), io.StringIO()
+    print(text, end="", file=escaping_stream(terminal))
     print(text, end="", file=escaping_stream(file))
-    assert screen.getvalue() == "\\u{1b}[31mred\\u{9b}2J\ttab\\r\n"
+    assert terminal.getvalue() == "\\u{1b}[31mred\\u{9b}2J\ttab\\r\n"
     assert file.getvalue() == text
-    again = escaping_stream(escaping_stream(screen))
-    again.flush()
-    assert (again.isatty(), unescaped_stream(again), unescaped_stream(file)) == (True, screen, file)
+    wrapped_twice = escaping_stream(escaping_stream(terminal))
+    wrapped_twice.flush()
+    assert (wrapped_twice.isatty(), unescaped_stream(wrapped_twice), unescaped_stream(file)) == (
+        True,
+        terminal,
+        file,
+    )
 
 
 def test_table_on_a_terminal_has_control_sequences_of_rich_only() -> None:
-    screen = Screen()
+    terminal = TerminalStream()
     table = rich.table.Table("NOW")
     table.add_row(Text("\x1b]0;title\x07", style="bold"))
     table.add_row("\x1b[2J")
-    PlainConsole(file=screen, markup=False, width=40).print(table)
-    drawn = re.sub("\x1b\\[[0-9;]*m", "", screen.getvalue())
-    assert "\x1b" not in drawn
-    assert "\x07" not in drawn
-    assert "\\u{1b}]0" in drawn
-    assert "\\u{1b}[2" in drawn
+    PlainConsole(file=terminal, markup=False, width=40).print(table)
+    output = re.sub("\x1b\\[[0-9;]*m", "", terminal.getvalue())
+    assert "\x1b" not in output
+    assert "\x07" not in output
+    assert "\\u{1b}]0" in output
+    assert "\\u{1b}[2" in output

@@ -27,7 +27,7 @@ MANIFEST = Manifest(
 KNOWN = DriverInfo("lamp", "lfield_lamp:PLUGIN", {"Lamp": MANIFEST}, {}, "")
 
 
-def needed(*endpoints, **options):
+def policy_of(*endpoints, **options):
     devices = [
         DeviceBinding(
             agent="a",
@@ -44,7 +44,7 @@ def needed(*endpoints, **options):
 
 
 def test_board_port_is_the_only_writable_file():
-    found = needed("serial:/dev/ttyAMA0:57600")
+    found = policy_of("serial:/dev/ttyAMA0:57600")
     assert set(found.writable) == {*PSEUDO_DEVICES, "/dev/ttyAMA0"}
     assert (found.folders, found.ports, found.has_internet, found.may_execute) == ((), (), False, False)
     assert found.readable == (*SYSTEM, "/code")
@@ -53,7 +53,7 @@ def test_board_port_is_the_only_writable_file():
 def test_removable_port_makes_its_folder_accessible(tmp_path):
     (tmp_path / "by-id").symlink_to("/dev/ttyUSB7")
     for endpoint in ("slcan:/dev/ttyACM0@115200?bitrate=500000", f"serial:{tmp_path}/by-id:57600"):
-        found = needed(endpoint)
+        found = policy_of(endpoint)
         assert (found.folders, found.has_internet) == (("/dev",), False)
 
 
@@ -68,12 +68,12 @@ def test_removable_port_makes_its_folder_accessible(tmp_path):
     ],
 )
 def test_network_access_by_endpoint(endpoint, ports, internet):
-    found = needed(endpoint)
+    found = policy_of(endpoint)
     assert (found.ports, found.has_internet, found.may_execute, found.folders) == (ports, internet, False, ())
 
 
 def test_unknown_endpoint_kind_has_wide_access():
-    found = needed("process:")
+    found = policy_of("process:")
     assert (found.ports, found.has_internet, found.may_execute, found.folders) == (
         None,
         True,
@@ -84,16 +84,16 @@ def test_unknown_endpoint_kind_has_wide_access():
 
 
 def test_file_of_an_option_is_readable_and_its_folder_writable(tmp_path):
-    found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
+    found = policy_of("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
     assert str(tmp_path / "signing.key") in found.readable
     assert found.folders == (str(tmp_path),)
-    assert needed("serial:/dev/ttyS0:57600", key="/no/such/folder/key").folders == ()
+    assert policy_of("serial:/dev/ttyS0:57600", key="/no/such/folder/key").folders == ()
     (tmp_path / "keys").mkdir()
-    found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
+    found = policy_of("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
     assert (found.readable[-1], found.folders) == (str(tmp_path / "signing.key"), ())
 
 
-TRIES = """
+ACCESS_SCRIPT = """
 import json, os, socket, sys
 from lfield.guard.sandbox import apply_sandbox
 from lfield.guard.sandbox_policy import SandboxPolicy
@@ -102,9 +102,9 @@ folder = sys.argv[1]
 code = ("/usr", "/lib", "/proc", *filter(None, sys.path), sys.prefix, sys.base_prefix)
 apply_sandbox(SandboxPolicy(code, ("/dev/null", f"{folder}/own"), (f"{folder}/mine",), f"{folder}/rec"))
 
-def tried(what):
+def result_of(access):
     try:
-        what()
+        access()
     except OSError as error:
         return type(error).__name__
     return "done"
@@ -114,28 +114,28 @@ def write(path):
         file.write(b"x")
 
 print(json.dumps({
-    "own device": tried(lambda: write(f"{folder}/own")),
-    "own folder": tried(lambda: write(f"{folder}/mine/new")),
-    "a recording": tried(lambda: write(f"{folder}/rec/new")),
-    "to remove a recording": tried(lambda: os.unlink(f"{folder}/rec/old")),
-    "to read a recording": tried(lambda: open(f"{folder}/rec/core").close()),
-    "a folder in a recording": tried(lambda: os.mkdir(f"{folder}/rec/sub")),
-    "code": tried(lambda: open(os.__file__).close()),
-    "another device": tried(lambda: write(f"{folder}/other")),
-    "a key": tried(lambda: open(f"{folder}/host.key").close()),
-    "a new file": tried(lambda: write(f"{folder}/new")),
-    "to remove": tried(lambda: os.unlink(f"{folder}/other")),
-    "another program": tried(lambda: os.posix_spawn("/usr/bin/env", ["env"], {})),
-    "a signal": tried(lambda: os.kill(os.getppid(), 0)),
-    "its own signal": tried(lambda: os.kill(os.getpid(), 0)),
-    "internet": tried(lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).close()),
-    "a Unix socket": tried(lambda: socket.socketpair()[0].close()),
-    "memory of its host": tried(lambda: open(f"/proc/{os.getppid()}/mem", "rb").close()),
+    "write own device": result_of(lambda: write(f"{folder}/own")),
+    "write in own folder": result_of(lambda: write(f"{folder}/mine/new")),
+    "write a recording": result_of(lambda: write(f"{folder}/rec/new")),
+    "remove a recording": result_of(lambda: os.unlink(f"{folder}/rec/old")),
+    "read a recording": result_of(lambda: open(f"{folder}/rec/core").close()),
+    "create a folder in a recording": result_of(lambda: os.mkdir(f"{folder}/rec/sub")),
+    "read code": result_of(lambda: open(os.__file__).close()),
+    "write another device": result_of(lambda: write(f"{folder}/other")),
+    "read a key": result_of(lambda: open(f"{folder}/host.key").close()),
+    "create a file": result_of(lambda: write(f"{folder}/new")),
+    "remove a file": result_of(lambda: os.unlink(f"{folder}/other")),
+    "start another program": result_of(lambda: os.posix_spawn("/usr/bin/env", ["env"], {})),
+    "signal the host": result_of(lambda: os.kill(os.getppid(), 0)),
+    "signal itself": result_of(lambda: os.kill(os.getpid(), 0)),
+    "open an internet socket": result_of(lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).close()),
+    "open a Unix socket": result_of(lambda: socket.socketpair()[0].close()),
+    "read memory of the host": result_of(lambda: open(f"/proc/{os.getppid()}/mem", "rb").close()),
 }))
 """
 
 
-@pytest.mark.skipif(landlock_abi() < 6, reason="this kernel's Landlock is older than the tested rules")
+@pytest.mark.skipif(landlock_abi() < 6, reason="the Landlock of this kernel lacks some tested rules")
 def test_sandboxed_process_has_only_the_permitted_access(tmp_path):
     for name in ("own", "other", "host.key"):
         (tmp_path / name).write_bytes(b"secret")
@@ -143,21 +143,21 @@ def test_sandboxed_process_has_only_the_permitted_access(tmp_path):
     (tmp_path / "rec").mkdir()
     for name in ("old", "core"):
         (tmp_path / "rec" / name).touch()
-    words = [sys.executable, "-c", TRIES, str(tmp_path)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    may = {
-        "own device",
-        "own folder",
-        "a recording",
-        "to remove a recording",
-        "code",
-        "its own signal",
-        "a Unix socket",
+    command = [sys.executable, "-c", ACCESS_SCRIPT, str(tmp_path)]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert process.returncode == 0, process.stderr
+    found = json.loads(process.stdout)
+    permitted = {
+        "write own device",
+        "write in own folder",
+        "write a recording",
+        "remove a recording",
+        "read code",
+        "signal itself",
+        "open a Unix socket",
     }
-    assert {what for what, became in found.items() if became == "done"} == may, found
-    assert found["internet"] == "OSError"
+    assert {access for access, result in found.items() if result == "done"} == permitted, found
+    assert found["open an internet socket"] == "OSError"
     assert (tmp_path / "other").read_bytes() == b"secret"
     assert describe_sandbox()[1] == ""
 
@@ -166,8 +166,8 @@ def test_sandboxed_process_has_only_the_permitted_access(tmp_path):
 @pytest.mark.skipif(not landlock_abi(), reason="this kernel has no Landlock")
 def test_guard_of_a_serial_port_has_no_host_files_and_is_sandboxed(tmp_path):
     (tmp_path / "host.key").write_text("secret")
-    with running_fake("dynamixel") as fake, (tmp_path / "host.key").open() as held:
-        os.set_inheritable(held.fileno(), True)
+    with running_fake("dynamixel") as fake, (tmp_path / "host.key").open() as key_file:
+        os.set_inheritable(key_file.fileno(), True)
 
         async def story():
             bound = bind(PLUGIN, "Dynamixel", endpoint=fake.endpoint, waivers=["no_homing"])

@@ -1,4 +1,4 @@
-"""The runtime directory of a process: one rule, and private to its user."""
+"""The runtime directory of a process: its choice, and access by its user only."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _OTHER_USER = 54321
 
 @pytest.fixture
 def shared(tmp_path, monkeypatch):
-    """The directory in place of /tmp; neither unit nor session has a runtime directory."""
+    """A directory in place of /tmp, without a runtime directory of a systemd unit or a login session."""
     folder = tmp_path / "tmp"
     folder.mkdir()
     folder.chmod(0o1777)
@@ -25,12 +25,12 @@ def shared(tmp_path, monkeypatch):
     return folder
 
 
-def _usual(shared):
+def _default_dir(shared):
     return shared / f"lfield-{os.geteuid()}"
 
 
 def test_unit_directory_precedes_session_directory_and_tmp(shared, tmp_path, monkeypatch):
-    assert runtime_dir() == _usual(shared)
+    assert runtime_dir() == _default_dir(shared)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert runtime_dir() == tmp_path / "lfield"
     monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/other:/run/lfield")
@@ -40,12 +40,12 @@ def test_unit_directory_precedes_session_directory_and_tmp(shared, tmp_path, mon
 @pytest.mark.parametrize("value", ["", "run", "relative/run"])
 def test_session_directory_must_be_absolute(shared, monkeypatch, value):
     monkeypatch.setenv("XDG_RUNTIME_DIR", value)
-    assert runtime_dir() == _usual(shared)
+    assert runtime_dir() == _default_dir(shared)
 
 
 def test_directory_in_tmp_does_not_depend_on_tmpdir(shared, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    assert runtime_dir() == _usual(shared)
+    assert runtime_dir() == _default_dir(shared)
 
 
 def test_session_directory_writable_by_others_is_not_used(shared, tmp_path, monkeypatch):
@@ -53,22 +53,22 @@ def test_session_directory_writable_by_others_is_not_used(shared, tmp_path, monk
     loose.mkdir()
     loose.chmod(0o777)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(loose))
-    assert private_runtime_dir("doors") == _usual(shared) / "doors"
-    assert (_usual(shared) / "doors").stat().st_mode & 0o777 == 0o700
+    assert private_runtime_dir("doors") == _default_dir(shared) / "doors"
+    assert (_default_dir(shared) / "doors").stat().st_mode & 0o777 == 0o700
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to another user")
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can create a directory of another user")
 def test_directory_of_another_user_is_refused(shared):
-    _usual(shared).mkdir(mode=0o755)
-    os.chown(_usual(shared), _OTHER_USER, _OTHER_USER)
+    _default_dir(shared).mkdir(mode=0o755)
+    os.chown(_default_dir(shared), _OTHER_USER, _OTHER_USER)
     with pytest.raises(OutputFileError, match="belongs to another user") as refused:
         private_runtime_dir("doors")
-    assert refused.value.path == str(_usual(shared))
+    assert refused.value.path == str(_default_dir(shared))
 
 
 def test_linked_directory_is_refused(shared, tmp_path):
     (tmp_path / "target").mkdir(mode=0o700)
-    _usual(shared).symlink_to(tmp_path / "target")
+    _default_dir(shared).symlink_to(tmp_path / "target")
     with pytest.raises(OutputFileError, match="link"):
         private_runtime_dir("doors")
     assert list((tmp_path / "target").iterdir()) == []

@@ -1,4 +1,4 @@
-"""Private files of one user: no links, no folders of other users, complete, and never blocking."""
+"""Private files of one user: no links, no folders of other users, atomic writes, no blocking on a FIFO."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.lstat().st_mode)
 
 
-def refused(path: Path, words: str) -> None:
+def assert_write_refused(path: Path, words: str) -> None:
     with pytest.raises(OutputFileError, match=words):
         write_private(path, b"new")
 
@@ -54,12 +54,12 @@ def test_existing_folder_keeps_its_mode(path):
     assert (mode(path.parent), mode(path)) == (0o755, 0o600)
 
 
-@pytest.mark.parametrize("others", [0o770, 0o707, 0o777, 0o1777])
-def test_folder_writable_by_others_is_refused(path, others):
+@pytest.mark.parametrize("mode_bits", [0o770, 0o707, 0o777, 0o1777])
+def test_folder_writable_by_others_is_refused(path, mode_bits):
     path.parent.mkdir(parents=True)
     path.write_bytes(b"old")
-    path.parent.chmod(others)
-    refused(path, "others may write to the folder: run 'chmod go-w .*folder', or name another")
+    path.parent.chmod(mode_bits)
+    assert_write_refused(path, "others may write to the folder: run 'chmod go-w .*folder', or name another")
     assert path.read_bytes() == b"old"
     with pytest.raises(PermissionError):
         read_private(path, 10)
@@ -69,7 +69,7 @@ def test_folder_of_another_user_is_refused(path, monkeypatch):
     path.parent.mkdir(parents=True)
     path.write_bytes(b"old")
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
-    refused(path, "the folder belongs to another user")
+    assert_write_refused(path, "the folder belongs to another user")
     with pytest.raises(PermissionError):
         read_private(path, 10)
     assert path.read_bytes() == b"old"
@@ -86,10 +86,10 @@ def test_file_of_another_user_is_read_from_named_owners_only(path, monkeypatch):
     assert read_private(path, 10, owners={writer}) == b"data"
 
 
-@pytest.mark.parametrize("others", [0o620, 0o602, 0o666])
-def test_file_writable_by_others_is_not_read(path, others):
+@pytest.mark.parametrize("mode_bits", [0o620, 0o602, 0o666])
+def test_file_writable_by_others_is_not_read(path, mode_bits):
     write_private(path, b"data")
-    path.chmod(others)
+    path.chmod(mode_bits)
     with pytest.raises(PermissionError, match="others may write to it"):
         read_private(path, 10)
 
@@ -99,42 +99,43 @@ def test_group_read_is_granted_despite_the_umask(path):
     try:
         new_private_folder(path.parent)
         write_private(path, b"data")
-        for there in (path, path.parent):
-            grant_group_read(there, os.getegid())
+        for entry in (path, path.parent):
+            grant_group_read(entry, os.getegid())
     finally:
         os.umask(before)
     assert (mode(path.parent.parent), mode(path.parent), mode(path)) == (0o700, 0o750, 0o640)
 
 
 def test_existing_group_read_is_unchanged(path):
-    """A service may have set other rights on its folder, and may be unable to change its group."""
+    """A service may have other permissions on its folder, and no right to change its group."""
     path.parent.mkdir(parents=True)
     path.parent.chmod(0o755)
     grant_group_read(path.parent, os.getegid())
     assert mode(path.parent) == 0o755
 
 
-@pytest.mark.parametrize("made", ["link", "writable"])
-def test_group_read_is_refused_for_links_and_writable_folders(path, tmp_path, made):
+@pytest.mark.parametrize("kind", ["link", "writable"])
+def test_group_read_is_refused_for_links_and_writable_folders(path, tmp_path, kind):
     private_folder(path.parent)
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir(mode=0o700)
-    if made == "link":
-        path.symlink_to(elsewhere)
+    other_folder = tmp_path / "other_folder"
+    other_folder.mkdir(mode=0o700)
+    if kind == "link":
+        path.symlink_to(other_folder)
     else:
         path.mkdir()
         path.chmod(0o770)
     with pytest.raises(OutputFileError):
         grant_group_read(path, os.getegid())
-    assert mode(elsewhere) == 0o700
+    assert mode(other_folder) == 0o700
 
 
 @pytest.mark.parametrize(
-    ("others", "kept"), [(0o700, True), (0o755, True), (0o1777, True), (0o777, False), (0o770, False)]
+    ("mode_bits", "is_trusted"),
+    [(0o700, True), (0o755, True), (0o1777, True), (0o777, False), (0o770, False)],
 )
-def test_trusted_folder_keeps_files_from_others(tmp_path, monkeypatch, others, kept):
-    tmp_path.chmod(others)
-    assert is_trusted_dir(tmp_path) == kept
+def test_trusted_folder_keeps_files_from_others(tmp_path, monkeypatch, mode_bits, is_trusted):
+    tmp_path.chmod(mode_bits)
+    assert is_trusted_dir(tmp_path) == is_trusted
     assert not is_trusted_dir(tmp_path / "nowhere")
     if os.getuid():
         monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
@@ -153,41 +154,41 @@ def test_new_folder_must_not_exist(path):
 def test_link_or_file_in_place_of_a_folder_is_refused(path, tmp_path):
     path.parent.parent.mkdir()
     path.parent.symlink_to(tmp_path)
-    refused(path, "it is a link; name its target instead")
+    assert_write_refused(path, "it is a link; name its target instead")
     path.parent.unlink()
     path.parent.write_bytes(b"")
-    refused(path, "it is not a folder")
+    assert_write_refused(path, "it is not a folder")
     path.parent.unlink()
     os.mkfifo(path.parent)
-    refused(path, "it is not a folder")
+    assert_write_refused(path, "it is not a folder")
     with pytest.raises(OutputFileError, match="cannot write /proc/nowhere: No such file"):
         private_folder(Path("/proc/nowhere"))
 
 
 def test_link_is_neither_written_through_nor_read(path, tmp_path):
     private_folder(path.parent)
-    precious = tmp_path / "precious"
-    precious.write_bytes(b"old")
-    path.symlink_to(precious)
-    refused(path, "is not a plain file; remove it")
+    target = tmp_path / "target"
+    target.write_bytes(b"old")
+    path.symlink_to(target)
+    assert_write_refused(path, "is not a plain file; remove it")
     with pytest.raises(OSError, match="symbolic links"):
         read_private(path, 10)
-    assert precious.read_bytes() == b"old"
+    assert target.read_bytes() == b"old"
 
 
 def test_hard_links_of_a_file_keep_the_old_content(path, tmp_path):
     private_folder(path.parent)
-    precious = tmp_path / "precious"
-    precious.write_bytes(b"old")
-    path.hardlink_to(precious)
+    target = tmp_path / "target"
+    target.write_bytes(b"old")
+    path.hardlink_to(target)
     write_private(path, b"new")
-    assert (path.read_bytes(), precious.read_bytes()) == (b"new", b"old")
+    assert (path.read_bytes(), target.read_bytes()) == (b"new", b"old")
 
 
 def test_fifo_does_not_block(path):
     private_folder(path.parent)
     os.mkfifo(path)
-    refused(path, "is not a plain file; remove it")
+    assert_write_refused(path, "is not a plain file; remove it")
     with pytest.raises(PermissionError):
         read_private(path, 10)
 
@@ -199,10 +200,10 @@ def test_unfinished_write_keeps_the_old_file(path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    refused(path, "No space left on device")
+    assert_write_refused(path, "No space left on device")
     assert list(path.parent.iterdir()) == [path]
     assert path.read_bytes() == b"old"
 
 
 def test_folder_with_too_long_a_name_is_refused(tmp_path):
-    refused(tmp_path / ("x" * 300) / "file", "too long")
+    assert_write_refused(tmp_path / ("x" * 300) / "file", "too long")

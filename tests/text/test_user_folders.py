@@ -1,4 +1,4 @@
-"""Places of a user's own folders, and users without a home."""
+"""State, cache and configuration folders of a user: environment variables, missing home, symbolic links."""
 
 from __future__ import annotations
 
@@ -57,30 +57,30 @@ _FOLDERS = {
 }
 
 
-def foreign(link: Path, target: Path) -> None:
-    """A symbolic link of another user."""
+def link_of_another_user(link: Path, target: Path) -> None:
+    """Creates a symbolic link that belongs to another user."""
     link.symlink_to(target)
     os.chown(link, 54321, 54321, follow_symlinks=False)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a link that belongs to another user")
 @pytest.mark.parametrize("variable", _FOLDERS)
-@pytest.mark.parametrize("where", ["the folder", "above", "above that", "behind a link"])
-def test_link_of_another_user_is_not_followed(monkeypatch, tmp_path, variable, where):
-    """In a base folder that others may write to, such as /tmp, another user may have created it first."""
+@pytest.mark.parametrize("position", ["folder", "parent", "grandparent", "link target"])
+def test_link_of_another_user_is_not_followed(monkeypatch, tmp_path, variable, position):
+    """In a shared base folder, such as /tmp, another user may have created the link first."""
     target, base = tmp_path / "sources", tmp_path / "base"
     (target / "in").mkdir(mode=0o700, parents=True)
-    if where == "the folder":
+    if position == "folder":
         base.mkdir()
-        foreign(link := base / "lfield", target)
-    elif where == "above":
-        foreign(link := base, target)
-    elif where == "above that":
-        foreign(link := tmp_path / "shared", target)
+        link_of_another_user(link := base / "lfield", target)
+    elif position == "parent":
+        link_of_another_user(link := base, target)
+    elif position == "grandparent":
+        link_of_another_user(link := tmp_path / "shared", target)
         base = link / "in"
     else:
         base.mkdir()
-        foreign(link := tmp_path / "shared", target)
+        link_of_another_user(link := tmp_path / "shared", target)
         (base / "lfield").symlink_to("../shared")
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setenv(variable, str(base))
@@ -93,7 +93,7 @@ def test_link_of_another_user_is_not_followed(monkeypatch, tmp_path, variable, w
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a link that belongs to another user")
 def test_runtime_folder_by_a_link_of_another_user_is_not_used(monkeypatch, tmp_path):
     (tmp_path / "mine").mkdir(mode=0o700)
-    foreign(tmp_path / "run", tmp_path / "mine")
+    link_of_another_user(tmp_path / "run", tmp_path / "mine")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
     assert session_runtime_dir() is None
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "mine"))
