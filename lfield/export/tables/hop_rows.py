@@ -47,10 +47,10 @@ class HopRows:
 
     def rows(self, dated: DatedEvent) -> Iterator[tuple[object, ...]]:
         """The row of a hop that is complete with an event."""
-        what = dated.event.what
-        if not isinstance(what, MigrationStarted | MigrationArrived | MigrationConfirmed | MigrationFailed):
+        event = dated.event.what
+        if not isinstance(event, MigrationStarted | MigrationArrived | MigrationConfirmed | MigrationFailed):
             return
-        key = what.agent, what.generation, what.sequence
+        key = event.agent, event.generation, event.sequence
         hop = self._open.setdefault(key, _Hop())
         _add(hop, dated)
         if hop.is_complete:

@@ -93,9 +93,9 @@ class ReplayPlayer:
         if time >= self._debugger.team.duration:
             self.speed = 0.0
 
-    def stop(self, trouble: str) -> None:
+    def stop(self, problem: str) -> None:
         """Stop playing, for a reason."""
-        self.speed, self.trouble = 0.0, trouble
+        self.speed, self.trouble = 0.0, problem
 
     def _search(self, command: ReplayCommand, target: Target) -> None:
         interruptible = _InterruptibleTarget(target, self._is_superseded)
@@ -105,11 +105,11 @@ class ReplayPlayer:
     def _step_event(self, *, backward: bool) -> None:
         """Move to the end of the turn in which the next or last event happened."""
         debugger, order = self._debugger, self._debugger.team.order_of
-        here, is_before = order(debugger.place)[:3], debugger.place.step == 0
+        position, is_before = order(debugger.place)[:3], debugger.place.step == 0
         for event in self._events_from(debugger.seconds, backward=backward):
             place = self._place_of(event)
-            there = order(place)[:3]
-            if there < here if backward else there > here or (there == here and is_before):
+            other = order(place)[:3]
+            if other < position if backward else other > position or (other == position and is_before):
                 debugger.go_to(place)
                 return
         self.trouble = f"there is no {'earlier' if backward else 'later'} event"

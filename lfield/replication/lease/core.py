@@ -129,8 +129,10 @@ class Quorum:
         is held.
         """
         self._needed_members = not self.lease.holds(now)
-        asked = self.lease.holds(now) or self.lease.is_requested_since(now - self.members.heartbeat_interval)
-        if self._next_heartbeat is not None and not asked:
+        is_requested = self.lease.holds(now) or self.lease.is_requested_since(
+            now - self.members.heartbeat_interval
+        )
+        if self._next_heartbeat is not None and not is_requested:
             self._next_heartbeat = min(self._next_heartbeat, now)
 
     def _detect_stall(self, now: float) -> None:
