@@ -47,7 +47,7 @@ class FileJournal(JournalBase):
 
     def __init__(self, path: Path, owner: JournalOwner, report: Callable[[str], None], clock: Clock) -> None:
         self.path, self._clock = path, clock
-        self.trouble = ""
+        self.problem = ""
         self._reservation = SpaceReservation(path.with_name("host.reserve"))
         self._lock = _locked(path)
         try:
@@ -63,7 +63,7 @@ class FileJournal(JournalBase):
         #: Bytes of each stored copy, and of each pending result.
         self._sizes: dict[RecordKey, int] = {}
         self._update_sizes([Change(self._read)])
-        self.trouble = self._reserve_space()
+        self.problem = self._reserve_space()
         self._thread = ThreadPoolExecutor(1, "journal")
         self._closed = self._reopen = False
 
@@ -107,12 +107,12 @@ class FileJournal(JournalBase):
                 isinstance(error, sqlite3.Error) and primary_code(error) == sqlite3.SQLITE_FULL
             )
             failure = _failure(self.path, error)
-            self.trouble = failure.reason
+            self.problem = failure.reason
             raise failure from None
         self._update_sizes(changes)
         self._set_dirty_flag()
-        self.trouble = problem or self._reserve_space()
-        if self.trouble:
+        self.problem = problem or self._reserve_space()
+        if self.problem:
             # The log must not grow into the remaining space.
             self._restart_log()
 

@@ -14,7 +14,7 @@ HEARTBEATS_PER_LEASE = 4
 
 
 class QuorumMembers:
-    """The voting members; `here` is this host, which need not be a member. `lease` is in seconds."""
+    """The voting members; `own_name` is this host, which need not be a member. `lease` is in seconds."""
 
     def __init__(
         self, names: Collection[str], own_name: str, lease: float, *, knows_promises: bool = True

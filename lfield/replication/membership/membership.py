@@ -66,9 +66,9 @@ class HighestCounters:
 class Membership:
     """Liveness of the other hosts, for all parts of one host. Times are in seconds of its monotonic clock.
 
-    `hosts` are the hosts of the deployment, with their `numbers`. `here` is this host's number, `incarnation`
-    its incarnation, `now` the start time. `neighbours` are the overlay links, which carry the gossip;
-    `contacts` are the links as the transport measures them.
+    `hosts` are the hosts of the deployment, with their `numbers`. `own_number` is this host's number,
+    `incarnation` its incarnation, `now` the start time. `neighbours` are the overlay links, which carry the
+    gossip; `contacts` are the links as the transport measures them.
     """
 
     def __init__(

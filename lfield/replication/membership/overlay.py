@@ -25,7 +25,7 @@ def distances(hosts: int) -> list[int]:
 
 
 class Overlay:
-    """The neighbours of host number `here`; with `is_full_mesh`, all other hosts."""
+    """The neighbours of host number `own_number`; with `is_full_mesh`, all other hosts."""
 
     def __init__(self, hosts: Sequence[str], own_number: int, *, is_full_mesh: bool = False) -> None:
         self._hosts, self._own_number = hosts, own_number

@@ -32,7 +32,7 @@ E = TypeVar("E")
 
 
 class QueryRelay(Generic[E]):
-    """The relay of host `here`, for its own messages and messages of other hosts.
+    """The relay of host `own_number`, for its own messages and messages of other hosts.
 
     `incarnation` is that of the host; effects are passed to `out`. `membership` knows the links; `mobility`
     processes messages for this host.
