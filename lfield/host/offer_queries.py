@@ -175,8 +175,8 @@ def binding_label(offer: Offer) -> str:
     """
     if offer.kind == "direct":
         return offer.kind
-    whole = offer.kind == "composed"
-    parts = (f"{part.primitive}{_component_label(part, whole)}" for part in offer.parts.values())
+    is_composed = offer.kind == "composed"
+    parts = (f"{part.primitive}{_component_label(part, is_composed)}" for part in offer.parts.values())
     return f"{offer.kind}: {offer.rule} of {', '.join(parts)}"
 
 

@@ -231,8 +231,8 @@ def _salvage_file(
     if salvaged.header is not None:
         _check_owner(path, salvaged.header, owner)
     found = classify_entries(path, salvaged.entries.items(), may_be_stale=salvaged.may_be_stale)
-    whole = salvaged.is_complete and not found.damaged
-    head = salvaged.header if whole and salvaged.header is not None else _new_head(owner)
+    is_whole = salvaged.is_complete and not found.damaged
+    head = salvaged.header if is_whole and salvaged.header is not None else _new_head(owner)
     if not salvaged.is_complete or any(is_promise_lost(damage.entry) for damage in found.damaged):
         # The type of a missing record is unknown.
         found.valid.pop(NO_RECORD, None)
@@ -240,7 +240,7 @@ def _salvage_file(
     count = len(found.valid)
     report(
         f"the journal {path} is damaged ({reason}) and is now {new_name}: {count} page{'s' * (count != 1)} "
-        f"of it could be read and count; {_NOTHING_LOST if whole else _PROMISES_LOST}"
+        f"of it could be read and count; {_NOTHING_LOST if is_whole else _PROMISES_LOST}"
     )
     _report_damage(path, found.damaged, report)
 
@@ -259,7 +259,7 @@ _WAL_MISSING = "its log is missing"
 def _report_damage(path: Path, damaged: Iterable[DamagedEntry], report: Callable[[str], None]) -> None:
     for damage in damaged:
         report(
-            f"{describe_loss(damage.entry)}, is damaged in the journal {path} ({damage.why}); "
+            f"{describe_loss(damage.entry)}, is damaged in the journal {path} ({damage.reason}); "
             f"it was moved aside, the rest counts; {_PROMISES_LOST}"
         )
 

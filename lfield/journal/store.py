@@ -56,7 +56,7 @@ class DamagedEntry(NamedTuple):
     """A damaged entry, the reason, and its row id."""
 
     entry: JournalEntry
-    why: str
+    reason: str
     place: int = 0
 
 
@@ -181,7 +181,7 @@ class Store:
         self._connection.executemany(_WRITE, ((*entry.key, *entry[1:]) for entry in entries))
 
     def _note(self, damaged: Iterable[DamagedEntry], found: float) -> None:
-        rows = ((*damage.entry.key, *damage.entry[1:], damage.why, found) for damage in damaged)
+        rows = ((*damage.entry.key, *damage.entry[1:], damage.reason, found) for damage in damaged)
         self._connection.executemany(_NOTE_DAMAGE, rows)
 
     def _write_head(self, head: JournalHeader) -> None:

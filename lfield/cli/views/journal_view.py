@@ -74,7 +74,7 @@ def journal_lines(view: ReadOnlyView) -> Iterator[str]:
             yield from _pending_call_lines(page, entry.written_at)
     for title, damaged in (("damaged", view.damaged), ("moved aside", view.moved_aside)):
         for one in damaged:
-            yield f"\n{title}: {describe_loss(one.entry)}: {one.why}"
+            yield f"\n{title}: {describe_loss(one.entry)}: {one.reason}"
 
 
 def _coordinator_lines(

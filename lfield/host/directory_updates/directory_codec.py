@@ -53,10 +53,10 @@ class DirectoryCodec:
         ]
         unknown = [(places[name], truncate(text, MAX_LABEL)) for name, text in change.unknown.items()]
         reason = truncate(unavailability.reason, MAX_LABEL) if unavailability else ""
-        holder, held = (
+        holder, reserved_for = (
             ("", 0.0) if (r := change.reserved) is None else (r.holder, bounded_duration(now - r.since))
         )
-        return AgentUpdate(self._numbers[agent], reason, lasting, facts, unknown, holder, held)
+        return AgentUpdate(self._numbers[agent], reason, lasting, facts, unknown, holder, reserved_for)
 
     def decode(self, host: str, report: DirectoryUpdate, now: float) -> DirectoryDelta:
         """The changes of a host. Raises WireError for changes of agents of other hosts."""

@@ -42,7 +42,7 @@ class _Call(Struct):
     resource: str
     portal: str
     last: int
-    up: float
+    started_at: float
 
 
 class _Instruction(Struct):
@@ -54,7 +54,7 @@ class _Instruction(Struct):
     instruction: str
     portal: int
     number: int
-    up: float
+    started_at: float
 
 
 class EventRecorder:
@@ -130,7 +130,7 @@ class EventRecorder:
             drain()
 
     @property
-    def up(self) -> float:
+    def uptime(self) -> float:
         """Seconds since the start of the host, by its monotonic clock."""
         return self._clock.monotonic() - self._started_at
 
@@ -173,7 +173,7 @@ class EventRecorder:
     def report_dropped(self, *, at_once: bool = False) -> None:
         """Report dropped events, if due or `at_once`."""
         self.drain()
-        now = self.up
+        now = self.uptime
         for budget in self._limiters:
             budget.report_dropped(now, at_once=at_once)
 
@@ -218,7 +218,7 @@ class EventRecorder:
         """A portal call has started; `call` identifies it until it ends."""
         if not self._portals.try_acquire("began"):
             return
-        uptime = self.up
+        uptime = self.uptime
         portal = truncate(portal, MAX_LABEL)
         number = self.emit_for_agent(agent, events.PortalCallStarted(call, agent, resource, portal))
         self._last_of_agent[resource] = number
@@ -237,7 +237,7 @@ class EventRecorder:
         known = self._calls.pop(call, None)
         if known is None:
             return
-        seconds, detail = bounded_duration(self.up - known.up), truncate(detail)
+        seconds, detail = bounded_duration(self.uptime - known.started_at), truncate(detail)
         event = events.PortalCallEnded(call, known.agent, known.resource, known.portal, seconds, how, detail)
         number = self.emit(event, known.last)
         self._last_of_agent[known.agent] = self._last_of_agent[known.resource] = number
@@ -253,7 +253,7 @@ class EventRecorder:
         """
         if not self._commands.try_acquire("asked"):
             return
-        uptime = self.up
+        uptime = self.uptime
         self._device_calls_made += 1
         device, instruction = truncate(device, MAX_LABEL), truncate(instruction, MAX_LABEL)
         known = self._calls.get(portal)
@@ -270,7 +270,7 @@ class EventRecorder:
         call = self._instructions.pop((agent, thread), None)
         if call is None:
             return
-        seconds = bounded_duration(self.up - call.up)
+        seconds = bounded_duration(self.uptime - call.started_at)
         event = events.DeviceCallEnded(
             call.call, agent, call.device, call.instruction, seconds, truncate(error)
         )
@@ -309,7 +309,7 @@ class EventRecorder:
 
     def _is_new_motion(self, event: events.DeviceMoving) -> bool:
         """Whether the movement of a device is reported again."""
-        moving, now = bool(event.moving), self.up
+        moving, now = bool(event.moving), self.uptime
         before, at = self._motion_reports.get(event.device, (None, 0.0))
         if moving is before and (not moving or now - at < MOVING_EVENT_EVERY):
             return False

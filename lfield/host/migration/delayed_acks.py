@@ -85,5 +85,5 @@ class DelayedAcks(Part):
         duration of the hop.
         """
         now = self._now()
-        held, stamp = min(MAX_DURATION, max(0.0, now - due + ACK_DELAY)), self._hybrid_clock.tick(now)
-        self._send(Send(answer.host, structs.replace(answer.message, held=held, stamp=stamp)))
+        hold_time, stamp = min(MAX_DURATION, max(0.0, now - due + ACK_DELAY)), self._hybrid_clock.tick(now)
+        self._send(Send(answer.host, structs.replace(answer.message, held=hold_time, stamp=stamp)))

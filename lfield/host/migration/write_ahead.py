@@ -194,24 +194,28 @@ class JournalContents:
         records = list(records)
         copies = [record for record in records if isinstance(record, CoordinatorRecord)]
         ended = _outdated_endings(copies)
-        old = {key_of(record) for record in ended}
-        needed = {mission, *(record.program for record in copies)}
-        over = {(record.agent, record.generation) for record in copies if record.state == "EXITED"}
+        deleted_keys = {key_of(record) for record in ended}
+        needed_digests = {mission, *(record.program for record in copies)}
+        ended_starts = {(record.agent, record.generation) for record in copies if record.state == "EXITED"}
         #: Outdated terminations, pending calls of terminated starts, and programs without blocks: to be
         #: deleted.
         self.outdated: list[Record] = [
             *ended,
-            *(p for p in records if isinstance(p, PendingCallRecord) and (p.agent, p.generation) in over),
+            *(
+                p
+                for p in records
+                if isinstance(p, PendingCallRecord) and (p.agent, p.generation) in ended_starts
+            ),
             *(
                 record
                 for record in records
-                if isinstance(record, ProgramRecord) and record.digest not in needed
+                if isinstance(record, ProgramRecord) and record.digest not in needed_digests
             ),
         ]
         self.copies = [
             record
             for record in copies
-            if key_of(record) not in old and (not record.block or record.program == mission)
+            if key_of(record) not in deleted_keys and (not record.block or record.program == mission)
         ]
         #: The records of other programs or deployments.
         self.parked = [record for record in copies if record.block and record.program != mission]

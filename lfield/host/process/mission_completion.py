@@ -56,10 +56,10 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
     while True:
         host.changed.clear()
         found = local_outcomes(homes, host.mobility.known_states(), host.mobility.proven_losses(since))
-        whole = membership.is_fully_connected(host.clock.monotonic())
-        if whole:
+        is_connected = membership.is_fully_connected(host.clock.monotonic())
+        if is_connected:
             host.apply(ContactRestored())
-        if homes.keys() - found.keys() and (membership.ended or not whole or host.mobility.has_losses):
+        if homes.keys() - found.keys() and (membership.ended or not is_connected or host.mobility.has_losses):
             records = await _query_states(host)
             now = host.clock.monotonic()
             found = judge.resolve(
@@ -137,8 +137,8 @@ class _PendingRestarts:
             newest[row.agent] = max(newest.get(row.agent, 0), row.generation)
             if row.state != "EXITED":
                 self._new_starts.add(start)
-        old = {agent for agent, _ in newest.items() - self._new_starts}
-        return {agent for agent in old if not self._is_settled(self._homes[agent])}
+        old_agents = {agent for agent, _ in newest.items() - self._new_starts}
+        return {agent for agent in old_agents if not self._is_settled(self._homes[agent])}
 
     def _is_settled(self, home: str) -> bool:
         """Whether this host is a home that has started its coordinators, or a home is unreachable."""

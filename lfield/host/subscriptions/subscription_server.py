@@ -74,7 +74,7 @@ class SubscriptionServer:
             )
         recorder, before = self._recorder, self._subscriptions.get(link)
         # A repeated request must not cause extra work.
-        first_batch_at = recorder.up if before is None else max(recorder.up, before.next_batch_at)
+        first_batch_at = recorder.uptime if before is None else max(recorder.uptime, before.next_batch_at)
         # Events before the subscription are not reported as lost.
         recorder.drain()
         self._subscriptions[link] = watcher = EventSubscription(
@@ -96,20 +96,20 @@ class SubscriptionServer:
         self._recorder.drain()
         latest = self._recorder.event_log.latest
         status = self._status() if directory else self._brief_status()
-        now, uptime = self._clock.time(), self._recorder.up
+        now, uptime = self._clock.time(), self._recorder.uptime
         return EventBatch(self._core.incarnation, 1, now, uptime, latest, latest, [], {}, status)
 
     def on_ack(self, message: EventAck, link: Link) -> None:
         """A subscriber acknowledges batches."""
         if (watcher := self._subscriptions.get(link)) is not None:
-            watcher.on_ack(message.batch, self._recorder.up, link.traffic.subscription_bytes)
+            watcher.on_ack(message.batch, self._recorder.uptime, link.traffic.subscription_bytes)
             self._on_event()
 
     def flush_and_close(self) -> None:
         """The host stops: send each subscriber its pending events, if it reads them, and close its link."""
         self._recorder.report_dropped(at_once=True)
         for link, watcher in list(self._subscriptions.items()):
-            while (batch := self._batch(watcher, max(self._recorder.up, watcher.due))) and batch.events:
+            while (batch := self._batch(watcher, max(self._recorder.uptime, watcher.due))) and batch.events:
                 self._send(link, batch)
             link.close()
         self._subscriptions.clear()
@@ -122,7 +122,7 @@ class SubscriptionServer:
     def _wake_at(self, due: float | None) -> None:
         if due is None:
             return
-        pause = max(TICK, due - self._recorder.up)
+        pause = max(TICK, due - self._recorder.uptime)
         loop = asyncio.get_running_loop()
         if self._timer is not None:
             if self._timer.when() <= loop.time() + pause:
@@ -137,7 +137,7 @@ class SubscriptionServer:
     def _send_due(self) -> None:
         """Send all batches that are due."""
         self._recorder.report_dropped()
-        uptime, at = self._recorder.up, self._clock.time()
+        uptime, at = self._recorder.uptime, self._clock.time()
         if uptime >= self._offers_due:
             self._offers_due = uptime + OFFERS_EVERY
             self._check_offers()

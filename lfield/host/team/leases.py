@@ -116,12 +116,12 @@ class TeamLeases(Part):
             self._team.record_existence()
         if now >= self._wait_until:
             self._report_missing()
-        held, self._is_held = self._is_held, self.quorum.lease.holds(now)
-        if held and not self._is_held:
+        was_held, self._is_held = self._is_held, self.quorum.lease.holds(now)
+        if was_held and not self._is_held:
             self._on_lost()
-        elif self._is_held and not held:
+        elif self._is_held and not was_held:
             self._on_gained()
-        self._is_gained = self._is_held and not held
+        self._is_gained = self._is_held and not was_held
         self._update_due()
 
     def poll_gained(self) -> bool:

@@ -141,12 +141,12 @@ class DeadmanMonitor:
 
     def _orphan(self, device: str) -> MakeDeviceSafe:
         """Make a device safe: the device depends on no coordinator until it is used again."""
-        users, without = self._users.pop(device), self._policies[device]
+        users, policy = self._users.pop(device), self._policies[device]
         described = ", ".join(self._describe(name) for name in sorted(users))
         for name in users - set().union(*self._users.values()):
             del self._coordinators[name]
-        reason = f"no coordinator that used it ({described}) has been confirmed alive for {without.after:g} s"
-        return MakeDeviceSafe(device, without.do, reason, tuple(sorted(users)))
+        reason = f"no coordinator that used it ({described}) has been confirmed alive for {policy.after:g} s"
+        return MakeDeviceSafe(device, policy.do, reason, tuple(sorted(users)))
 
     def _describe(self, name: str) -> str:
         newest = self._coordinators[name].newest

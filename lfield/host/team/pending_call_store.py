@@ -74,11 +74,11 @@ class PendingCallStore(Part):
         if agent.is_persisted and all(self._is_durable(key) for key in keys):
             self._deleted += keys
             return True
-        new = [call for key, call in zip(keys, calls, strict=True) if key not in self._records]
-        if new and not self._team.write_problem:
-            for call in new:
+        new_calls = [call for key, call in zip(keys, calls, strict=True) if key not in self._records]
+        if new_calls and not self._team.write_problem:
+            for call in new_calls:
                 self._add_record(agent, call)
-        if new:
+        if new_calls:
             self.on_save(agent)
         return False
 

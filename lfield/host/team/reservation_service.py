@@ -208,12 +208,12 @@ class ReservationService(Part):
         """The hosts that need renewals from this one."""
         if not self.is_polled:
             return set()
-        held = (
+        reservations = (
             entry
             for agent in self._local_coordinators()
             for entry in self._machine.held_reservations.of_coordinator(agent)
         )
-        return {self._hosts[resource.host] for resource, _ in held}
+        return {self._hosts[resource.host] for resource, _ in reservations}
 
     def _on_durable(self, resource: str, number: int) -> None:
         """The record of a holder is on disk."""

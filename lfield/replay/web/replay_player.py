@@ -64,11 +64,11 @@ class ReplayPlayer:
         #: The start of playing by the caller's clock, and the position at that time.
         self._started_at = self._from = 0.0
         #: The reason why the last step did not move, '' if it did.
-        self.trouble = ""
+        self.problem = ""
 
     def execute(self, command: ReplayCommand, now: float) -> None:
         """Execute a command; `now` is a monotonic time."""
-        debugger, self.trouble = self._debugger, ""
+        debugger, self.problem = self._debugger, ""
         self.speed = 0.0
         match command.go:
             case "time":
@@ -95,12 +95,12 @@ class ReplayPlayer:
 
     def stop(self, problem: str) -> None:
         """Stop playing, for a reason."""
-        self.speed, self.trouble = 0.0, problem
+        self.speed, self.problem = 0.0, problem
 
     def _search(self, command: ReplayCommand, target: Target) -> None:
         interruptible = _InterruptibleTarget(target, self._is_superseded)
         if not self._debugger.search(interruptible, backward=command.backward):
-            self.trouble = f"there is no {'earlier' if command.backward else 'later'} {command.go}"
+            self.problem = f"there is no {'earlier' if command.backward else 'later'} {command.go}"
 
     def _step_event(self, *, backward: bool) -> None:
         """Move to the end of the turn in which the next or last event happened."""
@@ -112,9 +112,9 @@ class ReplayPlayer:
             if other < position if backward else other > position or (other == position and is_before):
                 debugger.go_to(place)
                 return
-        self.trouble = f"there is no {'earlier' if backward else 'later'} event"
+        self.problem = f"there is no {'earlier' if backward else 'later'} event"
         if not self._events.is_complete:
-            self.trouble += " among those that are read so far"
+            self.problem += " among those that are read so far"
 
     def _events_from(self, seconds: float, *, backward: bool) -> Iterator[IndexedEvent]:
         index = self._events

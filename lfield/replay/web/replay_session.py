@@ -128,13 +128,13 @@ class ReplaySession:
             else:
                 self._continue()
         except LfieldError as error:
-            self._show_trouble(str(error))
+            self._show_problem(str(error))
 
     def _run(self) -> None:
         while not self._is_closed:
             self.advance()
 
-    def _show_trouble(self, problem: str) -> None:
+    def _show_problem(self, problem: str) -> None:
         """Return to the last position that could be shown."""
         self._player.stop(problem)
         self._debugger.go_to(self._place)
@@ -198,7 +198,7 @@ class ReplaySession:
             "speed": player.speed,
             "progress": self._events.progress if self._has_guards else 0.0,
             "epoch": self._team.epoch,
-            "trouble": player.trouble,
+            "trouble": player.problem,
             "missing": list(recording.missing),
             "problems": [*recording.problems, *self._events.problems, *self._guards.problems],
             "coordinators": list(coordinators_of(debugger)),

@@ -216,10 +216,10 @@ class Quorum:
         # Number 0 is no heartbeat: the message carries fences and grants no lease.
         number = message.number if self.knows_promises else 0
         # An incomplete set of fences would be useless: no lease is granted then.
-        whole = len(fences) <= MAX_RECORDS and len(ended) <= MAX_RECORDS
+        is_complete = len(fences) <= MAX_RECORDS and len(ended) <= MAX_RECORDS
         return (
             [SendQuorumMessage(host, HeartbeatAck(message.incarnation, number, fences, ended))]
-            if whole
+            if is_complete
             else []
         )
 

@@ -217,12 +217,12 @@ class Membership:
 
     def _gossip_for(self, host: str) -> GossipUpdate | None:
         since = self._gossiped_until.get(host, 0)
-        fresh = []
+        new_keys = []
         for key in reversed(self._changes):
             if self._changes[key] <= since:
                 break
-            fresh.append(key)
-        part = fresh[: -MAX_COUNTERS - 1 : -1]
+            new_keys.append(key)
+        part = new_keys[: -MAX_COUNTERS - 1 : -1]
         if not part:
             return None
         self._gossiped_until[host] = self._changes[part[-1]]
@@ -265,11 +265,11 @@ class Membership:
             return
         host = self._hosts[question.host]
         if question.host == self._own_number:
-            idle = self._count >= self._promised
-            own = question.incarnation == self._incarnation
-            requested = question.count if own else self._count + 1
+            is_idle = self._count >= self._promised
+            is_own = question.incarnation == self._incarnation
+            requested = question.count if is_own else self._count + 1
             self._promised = max(self._promised, min(requested, self._count + HEARTBEAT_CREDIT))
-            if idle:
+            if is_idle:
                 self._run_now(now)
         elif question.incarnation:
             # The probing host knew this incarnation.
