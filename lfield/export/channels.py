@@ -48,8 +48,8 @@ def nanoseconds(time: float) -> int:
 
 def timestamp(time: float) -> dict[str, int]:
     """A time as in Foxglove's schemas; also a duration."""
-    seconds, rest = divmod(nanoseconds(time), 1_000_000_000)
-    return {"sec": seconds, "nsec": rest}
+    seconds, remainder = divmod(nanoseconds(time), 1_000_000_000)
+    return {"sec": seconds, "nsec": remainder}
 
 
 def topic_part(name: str) -> str:

@@ -64,7 +64,7 @@ def attitude_in_map(roll: float, pitch: float, heading: float) -> Rotation:
 
 def direction(start: MapPoint, end: MapPoint) -> tuple[Rotation, float]:
     """The rotation of the x axis to the direction of a line, and the length of the line."""
-    x, y, z = (there - here for here, there in zip(start, end, strict=True))
+    x, y, z = (b - a for a, b in zip(start, end, strict=True))
     length = math.sqrt(x * x + y * y + z * z)
     return rotation(0.0, -math.atan2(z, math.hypot(x, y)), math.atan2(y, x)), length
 

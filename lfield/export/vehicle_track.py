@@ -88,8 +88,8 @@ class Track:
         return True
 
 
-def _distance(one: MapPoint, other: MapPoint) -> float:
-    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+def _distance(point: MapPoint, other: MapPoint) -> float:
+    return max(abs(a - b) for a, b in zip(point, other, strict=True))
 
 
 @dataclass(slots=True)

@@ -62,7 +62,7 @@ class HostContext:
         return self.mission.team
 
     @cached_property
-    def here(self) -> int:
+    def own_number(self) -> int:
         """The number of this host in the team."""
         return self.team.number(self.name)
 
@@ -74,7 +74,7 @@ class HostContext:
     @cached_property
     def restored_fences(self) -> dict[str, int]:
         """The fencing tokens in the journal: by coordinator, the first generation that may run."""
-        return {page.agent: page.generation for page in self.records if isinstance(page, FenceRecord)}
+        return {record.agent: record.generation for record in self.records if isinstance(record, FenceRecord)}
 
     @property
     def has_journal(self) -> bool:

@@ -72,7 +72,8 @@ class HostCore:
     def __init__(self, context: HostContext) -> None:
         self.context, self.mission, self.team = context, context.mission, context.team
         self.name = context.name
-        self.here, self.incarnation, self.recorder = context.here, context.incarnation, context.recorder
+        self.own_number, self.incarnation = context.own_number, context.incarnation
+        self.recorder = context.recorder
         self._clock, self._effects, self._log = context.clock, context.effects, context.log
         mission, records = context.mission, context.records
         self.orders = ExecutedOrders(
@@ -80,7 +81,7 @@ class HostCore:
         )
         #: Answers the queries of the machine; it looks the parts up at each query.
         self.services = HostServices(context, self)
-        view = MachineTeam(self.team.members, self.here, self.incarnation, mission.fenced)
+        view = MachineTeam(self.team.members, self.own_number, self.incarnation, mission.fenced)
         rules, limit, fresh = mission.calls, context.run_limit, context.fresh_time
         hooks = VmHooks(rules=rules, liveness=self.services, run_limit=limit, fresh_time=fresh)
         self.machine = machine = Machine(
@@ -192,7 +193,7 @@ class HostCore:
 
     def start_resources(self, *, first: bool = False) -> None:
         """The devices are open: start the resources, and admit waiting arrivals; `first` as below."""
-        for member in self.team.members_on(self.here):
+        for member in self.team.members_on(self.own_number):
             if member.kind == "resource":
                 self.recorder.on_agent_started(member.id, 0)
                 self.machine.start(member, self.mission.bindings.limits(member.id), 0)
@@ -247,16 +248,16 @@ class HostCore:
             self.coordinators, self.machine, self.team.hosts, agent
         )
 
-    def on_write_failed(self, why: str) -> None:
+    def on_write_failed(self, reason: str) -> None:
         """Writing the journal failed: the write is retried."""
-        self._publish(WriteFailed(why))
+        self._publish(WriteFailed(reason))
 
-    def on_disk_space(self, trouble: str) -> None:
+    def on_disk_space(self, problem: str) -> None:
         """Announce the reason why the journal should admit nothing more, or '', to the other hosts."""
         accepted = log_messages.MIGRATIONS_ACCEPTED.line(host=self.name)
-        rejected = log_messages.MIGRATIONS_REJECTED.line(host=self.name, reason=trouble)
-        self._log(rejected if trouble else accepted)
-        self.coordinators.set_space_trouble(trouble)
+        rejected = log_messages.MIGRATIONS_REJECTED.line(host=self.name, reason=problem)
+        self._log(rejected if problem else accepted)
+        self.coordinators.set_space_problem(problem)
         self._send_backpressure()
 
     def _send_backpressure(self) -> None:
@@ -315,7 +316,7 @@ class HostCore:
 
     def recover(self, request: RecoverRequest) -> RecoverResponse:
         """An operator declares the holder of a coordinator permanently lost: resume it on this host."""
-        return operator_commands.recover(self.coordinators, self.leases, self.name, self.here, request)
+        return operator_commands.recover(self.coordinators, self.leases, self.name, self.own_number, request)
 
     def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:
         """Before this host stops: send all terminations, and the outcomes found, to every reachable host."""
@@ -365,10 +366,10 @@ class HostCore:
         Returns why no agent gets it, '' if one does."""
         if len(text) > MAX_LINE:
             self._log(log_messages.INPUT_CUT.line(host=self.name, length=MAX_LINE))
-        trouble = self.machine.operator_input.enter(text, is_kept=not agent, agent=agent)
-        if trouble:
-            self._log(log_messages.INPUT_DROPPED.line(host=self.name, reason=trouble))
-        return trouble
+        problem = self.machine.operator_input.enter(text, is_kept=not agent, agent=agent)
+        if problem:
+            self._log(log_messages.INPUT_DROPPED.line(host=self.name, reason=problem))
+        return problem
 
     def on_device_answer(self, number: int, value: DeviceValue | DeviceError) -> None:
         """The result of the device call of that number."""
@@ -376,9 +377,9 @@ class HostCore:
 
 
 def _membership(context: HostContext) -> Membership:
-    team, here, now = context.team, context.here, context.clock.monotonic()
+    team, own_number, now = context.team, context.own_number, context.clock.monotonic()
     return Membership(
-        team.hosts, team.numbers, here, context.incarnation, now, context.overlay, context.environment
+        team.hosts, team.numbers, own_number, context.incarnation, now, context.overlay, context.environment
     )
 
 
@@ -388,5 +389,5 @@ def _mobility(context: HostContext) -> Mobility:
 
 
 def _relay(context: HostContext, membership: Membership, mobility: Mobility) -> QueryRelay[Effect]:
-    identity = context.team.hosts, context.here, context.incarnation
+    identity = context.team.hosts, context.own_number, context.incarnation
     return QueryRelay[Effect](*identity, context.clock, context.effects.append, membership, mobility)

@@ -153,21 +153,21 @@ def compile_in_process(
 
 def _split_modules(data: bytes) -> list[bytes]:
     """Parse a line of sizes, followed by the bytes of each size; empty if malformed."""
-    line, _, rest = data.partition(b"\n")
+    line, _, modules = data.partition(b"\n")
     with suppress(ValueError):
         ends = list(accumulate(map(int, line.split()), initial=0))
-        if ends[-1] == len(rest):
-            return [rest[start:end] for start, end in pairwise(ends)]
+        if ends[-1] == len(modules):
+            return [modules[start:end] for start, end in pairwise(ends)]
     return []
 
 
-def _compile_failure(why: str) -> EngineUnavailable:
-    return EngineUnavailable(ChildProcessError(f"its process that compiles {why}"))
+def _compile_failure(failure: str) -> EngineUnavailable:
+    return EngineUnavailable(ChildProcessError(f"its process that compiles {failure}"))
 
 
-def _exit_reason(status: int, said: bytes) -> str:
+def _exit_reason(status: int, output: bytes) -> str:
     """The reason why a process has ended, from the last line of its output."""
-    last = said.decode(errors="replace").strip().rpartition("\n")[2]
+    last = output.decode(errors="replace").strip().rpartition("\n")[2]
     how = f"was ended by signal {-status}" if status < 0 else f"ended with status {status}"
     return how + (f": {last}" if last else "")
 

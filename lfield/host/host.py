@@ -80,14 +80,14 @@ class Host:
     ) -> None:
         self.mission, self.name, self.options = mission, name, options
         self.team, self.logbook, self.clock = mission.team, logbook, options.clock
-        self.started = self.clock.monotonic()
-        self._turns = CoreTurns(self.clock)
+        self.started, self._turns = self.clock.monotonic(), CoreTurns(self.clock)
         self._turns.start_turn()
         self.recorder = EventRecorder(HostEventClock(self._turns), self.note)
         self.hybrid_clock = self.recorder.hybrid_clock
-        here, team, clock = self.team.number(name), self.team, self.clock
-        overlay = Overlay(team.hosts, here, is_full_mesh=mission.registry is not None)
-        hosts = TeamAddresses(team.numbers, team.addresses, here, overlay.neighbours, mission.has_live_values)
+        own_number, team, clock = self.team.number(name), self.team, self.clock
+        overlay = Overlay(team.hosts, own_number, is_full_mesh=mission.registry is not None)
+        addresses, neighbours = team.addresses, overlay.neighbours
+        hosts = TeamAddresses(team.numbers, addresses, own_number, neighbours, mission.has_live_values)
         self.peers = LinkManager(self, transport, clock, options.rng, hosts, options.admission)
         self.guards = DeviceGuards(
             mission.drivers, clock, self.note, silence=mission.bindings.silence, has_progressed=self.step,
@@ -97,8 +97,8 @@ class Host:
         self.journal_writer = JournalWriter(
             options.journal,
             lambda number: self.dispatch(inputs.BatchDurable(number)),
-            lambda why: self.dispatch(inputs.BatchFailed(why)),
-            lambda trouble: self.dispatch(inputs.DiskSpaceChanged(trouble)),
+            lambda reason: self.dispatch(inputs.BatchFailed(reason)),
+            lambda problem: self.dispatch(inputs.DiskSpaceChanged(problem)),
         )
         run = RunIdentity(self.clock.time(), options.random_bytes)
         self._recording = RecordingSession(options.record, mission, run, self.note)
@@ -204,8 +204,8 @@ class Host:
             self.recorder.on_host_stopping("", STOPPING)
         self.dispatch(inputs.AgentsHalt())
         unsafe = await self.guards.close()
-        for name, why in unsafe.items():
-            self.note(log_messages.DEVICE_NOT_SAFE.line(device=name, reason=why))
+        for name, reason in unsafe.items():
+            self.note(log_messages.DEVICE_NOT_SAFE.line(device=name, reason=reason))
         await self._observers.linger_for_observers()
         on_rest(unsafe)
         self.dispatch(inputs.RunEnds())
@@ -394,7 +394,7 @@ class Host:
     def status(self) -> Status:
         """The status of this host that `lfield ps` shows."""
         self.apply(inputs.DirectorySampled())
-        up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
-        error = self.options.admission.persist_error
-        found = status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, error)
+        clock, journal = self.clock, self.journal_writer.journal
+        uptime, error = clock.monotonic() - self.started, self.options.admission.persist_error
+        found = status_of(self.core, self.peers, self.guards, journal, self.address, uptime, clock, error)
         return found if self._has_resources else replace(found, starting=True)

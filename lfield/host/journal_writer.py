@@ -40,7 +40,7 @@ class JournalWriter:
             on_write_failed,
             on_space_changed,
         )
-        self._trouble = ""
+        self._problem = ""
         self._waiting: deque[PersistRecords] = deque()
         self._work: asyncio.Task[None] | None = None
         self._space_poller: asyncio.Task[None] | None = None
@@ -68,7 +68,7 @@ class JournalWriter:
     def delete(self, records: Collection[Record]) -> None:
         """Delete unneeded records; after a failure, the next start deletes them."""
         if records and self._journal:
-            spawn(self._delete([key_of(page) for page in records], self._journal))
+            spawn(self._delete([key_of(record) for record in records], self._journal))
 
     async def _delete(self, keys: Collection[RecordKey], journal: Journal) -> None:
         with suppress(JournalError):
@@ -98,16 +98,16 @@ class JournalWriter:
 
     def poll_disk_space(self) -> None:
         """Check the free space of the disk."""
-        trouble = self._journal.trouble if self._journal else ""
-        if trouble != self._trouble:
-            self._trouble = trouble
-            self._on_space_changed(trouble)
-        if trouble and (self._space_poller is None or self._space_poller.done()):
+        problem = self._journal.problem if self._journal else ""
+        if problem != self._problem:
+            self._problem = problem
+            self._on_space_changed(problem)
+        if problem and (self._space_poller is None or self._space_poller.done()):
             self._space_poller = spawn(self._wait_for_space())
 
     async def _wait_for_space(self) -> None:
         assert self._journal is not None
-        while self._journal.trouble:
+        while self._journal.problem:
             await asyncio.sleep(RETRY_AFTER)
             with suppress(JournalError):
                 await self._journal.persist([])
@@ -120,7 +120,7 @@ class JournalWriter:
         waited = list(self._waiting)
         if self._work is not None:
             await asyncio.wait([self._work], timeout=bound)
-        return not any(batch is one for batch in waited for one in self._waiting)
+        return not any(batch is other for batch in waited for other in self._waiting)
 
     async def close(self) -> None:
         """Close the journal so that the next start is quick."""

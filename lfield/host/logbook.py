@@ -76,11 +76,11 @@ class JsonLogbook(Logbook):
 
     def write(self, text: str, agent: str) -> None:
         """Output of an agent's program; each line is written when it is complete."""
-        *lines, rest = (self._incomplete.pop(agent, "") + text).split("\n")
-        if len(rest) > MAX_INCOMPLETE:
-            lines, rest = [*lines, rest], ""
-        if rest:
-            self._incomplete[agent] = rest
+        *lines, incomplete = (self._incomplete.pop(agent, "") + text).split("\n")
+        if len(incomplete) > MAX_INCOMPLETE:
+            lines, incomplete = [*lines, incomplete], ""
+        if incomplete:
+            self._incomplete[agent] = incomplete
         for line in lines:
             self._print(log_messages.PROGRAM_OUTPUT.line(agent=agent, text=line))
 

@@ -125,11 +125,11 @@ class ObserverSessions:
         """Send a snapshot, at most one per interval, so that requests cannot keep a host busy."""
         self._last_request = self._clock.monotonic()
         waits, self._waiting[link] = bool(self._waiting), directory
-        left = self._last_sent + SNAPSHOT_INTERVAL - self._last_request
-        if left <= 0:
+        remaining = self._last_sent + SNAPSHOT_INTERVAL - self._last_request
+        if remaining <= 0:
             self._send_snapshot_to_all()
         elif not waits:
-            asyncio.get_running_loop().call_later(left, self._send_snapshot_to_all)
+            asyncio.get_running_loop().call_later(remaining, self._send_snapshot_to_all)
 
     def _send_snapshot_to_all(self) -> None:
         self._last_sent = self._clock.monotonic()
@@ -156,8 +156,8 @@ class ObserverSessions:
         """Cancel a call of this person, or of an assistant of this person."""
         self._await_result(message.id, link)
         for is_assistant in (False, True):
-            who = _caller(link.who, is_assistant=is_assistant)
-            self._dispatch(PersonCallCancelled(message.id, *who), None)
+            caller = _caller(link.who, is_assistant=is_assistant)
+            self._dispatch(PersonCallCancelled(message.id, *caller), None)
 
     def _await_result(self, id: bytes, link: Link) -> None:
         waiting = self._callers.setdefault(id, [])
@@ -208,13 +208,13 @@ class ObserverSessions:
             link.send(message)
 
 
-def _caller(who: Identity, *, is_assistant: bool = False) -> tuple[str, str]:
+def _caller(identity: Identity, *, is_assistant: bool = False) -> tuple[str, str]:
     """The name of a person, '' for a user of this computer; and the name of the caller in events and log
     lines.
     """
-    name = who.name if who.kind == "person" else ""
-    shown = f"person {who.name}" if who.kind == "person" else f"user {who.name}"
-    label = f"assistant of {shown}" if is_assistant else shown
+    name = identity.name if identity.kind == "person" else ""
+    name_text = f"person {identity.name}" if identity.kind == "person" else f"user {identity.name}"
+    label = f"assistant of {name_text}" if is_assistant else name_text
     return name, truncate(label, MAX_NAME)
 
 

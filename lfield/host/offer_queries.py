@@ -66,11 +66,11 @@ class MatchResults:
         self,
         registry: Registry,
         team: AgentSource,
-        ways: Mapping[str, Collection[str]],
+        primitives: Mapping[str, Collection[str]],
         numbers: Mapping[str, int],
     ) -> None:
         self._registry, self._numbers = registry, numbers
-        self._matcher = Matcher(registry, team, ways)
+        self._matcher = Matcher(registry, team, primitives)
         self._compiled = lru_cache(MAX_CACHED_CONSTRAINTS)(self._compile)
 
     def find_offers(self, capability: str, constraint: str | None) -> list[FoundOffer]:
@@ -175,9 +175,9 @@ def binding_label(offer: Offer) -> str:
     """
     if offer.kind == "direct":
         return offer.kind
-    whole = offer.kind == "composed"
-    said = (f"{part.primitive}{_component_label(part, whole)}" for part in offer.parts.values())
-    return f"{offer.kind}: {offer.rule} of {', '.join(said)}"
+    is_composed = offer.kind == "composed"
+    parts = (f"{part.primitive}{_component_label(part, is_composed)}" for part in offer.parts.values())
+    return f"{offer.kind}: {offer.rule} of {', '.join(parts)}"
 
 
 def _component_label(part: Offer, parent: bool) -> str:

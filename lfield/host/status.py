@@ -51,17 +51,17 @@ def status_of(
     guards: DeviceGuards,
     journal: Journal | None,
     address: str,
-    up: float,
+    uptime: float,
     clock: Clock,
     persist_error: str,
 ) -> Status:
-    """The status of a host that has been `up` for that number of seconds, to the millisecond."""
+    """The status of a host that has run for `uptime` seconds, to the millisecond."""
     now = clock.monotonic()
     lateness = guards.lateness if guards.telemetry else None
     return Status(
         host=core.name,
         address=address,
-        up=_since(up),
+        up=_since(uptime),
         program=core.mission.program.digest,
         deployment=core.team.deployment,
         agents=[_agent(agent, core) for agent in core.machine.agents.values()],
@@ -108,16 +108,16 @@ def _bundle(release: BundleId) -> BundleStatus | None:
 
 
 def _journal(journal: Journal, core: HostCore, now: float) -> JournalStatus:
-    commits, trouble = (
+    commits, problem = (
         journal.commits_last_minute(now),
-        truncate(core.coordinators.write_trouble or journal.trouble),
+        truncate(core.coordinators.write_problem or journal.problem),
     )
-    return JournalStatus(commits, trouble, [_parked(page) for page in core.mobility.parked])
+    return JournalStatus(commits, problem, [_parked(record) for record in core.mobility.parked])
 
 
-def _parked(page: CoordinatorRecord) -> ParkedStatus:
-    state = "EXITED" if page.state == "ABSENT" else page.state
-    return ParkedStatus(page.agent, page.generation, page.hops, page.program, state, page.target)
+def _parked(record: CoordinatorRecord) -> ParkedStatus:
+    state = "EXITED" if record.state == "ABSENT" else record.state
+    return ParkedStatus(record.agent, record.generation, record.hops, record.program, state, record.target)
 
 
 def _since(seconds: float) -> float:

@@ -58,7 +58,7 @@ class TeamDirectory(Part):
         #: A mission without capabilities has no agents in the directory.
         agents = mission.team.deployed if registry.providers else ()
         self._mission = mission
-        self._here, self._liveness, self._clock = name, liveness, clock
+        self._own_host, self._liveness, self._clock = name, liveness, clock
         pose = mission.bindings.frames.place(name)
         self.directory = AgentDirectory(registry, agents, name, liveness, clock, context.incarnation, pose)
         self._codec = DirectoryCodec(registry, agents)
@@ -140,12 +140,12 @@ class TeamDirectory(Part):
 
     def _refusal(self, agent: DeployedMember) -> str:
         """The reason why a resource outside the registry cannot be called, as far as this host knows."""
-        if agent.host == self._here:
-            why = self._sampler.unavailability(agent.id) or self._holder_of(agent.id)
+        if agent.host == self._own_host:
+            unavailability = self._sampler.unavailability(agent.id) or self._holder_of(agent.id)
         else:
             since = self._liveness.down_since.get(agent.host)
-            why = None if since is None else Unavailability("unreachable", since)
-        return "" if why is None else why.sentence(self._clock.monotonic())
+            unavailability = None if since is None else Unavailability("unreachable", since)
+        return "" if unavailability is None else unavailability.sentence(self._clock.monotonic())
 
     def entries(self) -> list[DirectoryEntry]:
         """The condition of every resource as of the last `refresh`, for observers."""
@@ -158,7 +158,7 @@ class TeamDirectory(Part):
     def _entry(self, candidate: Candidate) -> DirectoryEntry:
         own = self.registry.agents.get(candidate.agent, {})
         facts = {name: _attribute_reading(fact) for name, fact in candidate.facts.items() if name not in own}
-        unknown = {name: truncate(why) for name, why in candidate.unknown.items()}
+        unknown = {name: truncate(reason) for name, reason in candidate.unknown.items()}
         return DirectoryEntry(candidate.agent, truncate(candidate.refusal), facts, unknown)
 
 

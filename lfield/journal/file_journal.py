@@ -47,23 +47,23 @@ class FileJournal(JournalBase):
 
     def __init__(self, path: Path, owner: JournalOwner, report: Callable[[str], None], clock: Clock) -> None:
         self.path, self._clock = path, clock
-        self.trouble = ""
+        self.problem = ""
         self._reservation = SpaceReservation(path.with_name("host.reserve"))
         self._lock = _locked(path)
         try:
-            self._store, head, pages = self._load(owner, report)
+            self._store, head, records = self._load(owner, report)
         except BaseException:
             self._lock.release()
             raise
         self.identity = head.identity
-        super().__init__(pages, self._commit_in_thread, clock)
+        super().__init__(records, self._commit_in_thread, clock)
         self._inode = path.stat().st_ino
         #: The inode of the write-ahead log, 0 before there is one.
         self._log = 0
         #: Bytes of each stored copy, and of each pending result.
         self._sizes: dict[RecordKey, int] = {}
         self._update_sizes([Change(self._read)])
-        self.trouble = self._reserve_space()
+        self.problem = self._reserve_space()
         self._thread = ThreadPoolExecutor(1, "journal")
         self._closed = self._reopen = False
 
@@ -91,14 +91,14 @@ class FileJournal(JournalBase):
         """Commit all changes, or none. Raises JournalError."""
         try:
             self._check_file_present()
-            trouble = self._reserve_space()
+            problem = self._reserve_space()
             try:
                 self._write(changes)
             except sqlite3.Error as error:
                 if primary_code(error) not in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
                     raise
                 self._reservation.release()
-                trouble = self._full
+                problem = self._full
                 # The log already has space for this commit.
                 self._restart_log()
                 self._write(changes)
@@ -107,19 +107,19 @@ class FileJournal(JournalBase):
                 isinstance(error, sqlite3.Error) and primary_code(error) == sqlite3.SQLITE_FULL
             )
             failure = _failure(self.path, error)
-            self.trouble = failure.reason
+            self.problem = failure.reason
             raise failure from None
         self._update_sizes(changes)
         self._set_dirty_flag()
-        self.trouble = trouble or self._reserve_space()
-        if self.trouble:
+        self.problem = problem or self._reserve_space()
+        if self.problem:
             # The log must not grow into the remaining space.
             self._restart_log()
 
     def _write(self, changes: Sequence[Change]) -> None:
         now = self._clock.time()
-        groups = [([encode_record(page, now) for page in pages], keys) for pages, keys in changes]
-        if any(pages or keys for pages, keys in groups):
+        groups = [([encode_record(record, now) for record in records], keys) for records, keys in changes]
+        if any(records or keys for records, keys in groups):
             self._store.commit(groups)
         else:
             self._store.probe_write()
@@ -147,14 +147,14 @@ class FileJournal(JournalBase):
     # --- space ----------------------------------------------------------------------------------------
 
     def _update_sizes(self, changes: Sequence[Change]) -> None:
-        for pages, keys in changes:
-            for page in pages:
-                if isinstance(page, CoordinatorRecord) and page.state in ("RUN", "PREPARED"):
-                    self._sizes[key_of(page)] = len(page.block)
-                elif isinstance(page, PendingCallRecord) and not page.outcome:
-                    self._sizes[key_of(page)] = RESULT
+        for records, keys in changes:
+            for record in records:
+                if isinstance(record, CoordinatorRecord) and record.state in ("RUN", "PREPARED"):
+                    self._sizes[key_of(record)] = len(record.block)
+                elif isinstance(record, PendingCallRecord) and not record.outcome:
+                    self._sizes[key_of(record)] = RESULT
                 else:
-                    self._sizes.pop(key_of(page), None)
+                    self._sizes.pop(key_of(record), None)
             for key in keys:
                 self._sizes.pop(key, None)
 

@@ -28,11 +28,11 @@ class GroupCommit:
     async def submit(self, *changes: Change) -> None:
         """Return when the changes are durable. Raises JournalError."""
         loop = asyncio.get_running_loop()
-        kept = loop.create_future()
-        self._waiting.append((changes, kept))
+        result = loop.create_future()
+        self._waiting.append((changes, result))
         if self._runner is None:
             self._runner = loop.create_task(self._run())
-        await kept
+        await result
 
     def commits_per_minute(self, now: float) -> int:
         """The number of successful commits in the minute before `now`."""
@@ -52,22 +52,22 @@ class GroupCommit:
         try:
             await self._commit([change for changes, _ in group for change in changes])
         except asyncio.CancelledError:
-            for _, kept in (*group, *self._waiting):
-                kept.cancel()
+            for _, result in (*group, *self._waiting):
+                result.cancel()
             raise
         except Exception as error:
             # Changes that were queued during the commit may depend on the failed ones.
             failed, self._waiting = (*group, *self._waiting), []
-            for _, kept in failed:
-                if not kept.done():
-                    kept.set_exception(error)
+            for _, result in failed:
+                if not result.done():
+                    result.set_exception(error)
             return
         now = self._clock.monotonic()
         self._commits.append(now)
         self.commits_per_minute(now)
-        for _, kept in group:
-            if not kept.done():
-                kept.set_result(None)
+        for _, result in group:
+            if not result.done():
+                result.set_result(None)
 
 
 class JournalBase:
@@ -76,7 +76,7 @@ class JournalBase:
     def __init__(
         self, read: Mapping[RecordKey, tuple[JournalEntry, Record]], commit: Commit, clock: Clock
     ) -> None:
-        self._read = [page for _, page in read.values()]
+        self._read = [record for _, record in read.values()]
         self.times = {key: entry.written_at for key, (entry, _) in read.items()}
         self._group_commit = GroupCommit(commit, clock)
 

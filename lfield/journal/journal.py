@@ -34,7 +34,7 @@ class Journal(Protocol):
         """
 
     @property
-    def trouble(self) -> str:
+    def problem(self) -> str:
         """The reason why no new coordinator should be admitted, '' if there is no reason.
 
         `persist` may succeed as long as reserved space is left.

@@ -140,7 +140,7 @@ def classify_entries(
     found = JournalScan({}, [])
     for place, entry in entries:
         try:
-            page = decode_record(entry)
+            record = decode_record(entry)
         except UnsupportedRecordVersion as error:
             if not attempts:
                 raise _unsupported_version(path, f"{describe_loss(entry)}: {error}") from None
@@ -149,12 +149,12 @@ def classify_entries(
         except RecordError as error:
             found.damaged.append(DamagedEntry(entry, str(error), place))
             continue
-        if may_be_stale and _is_mutable(page):
+        if may_be_stale and _is_mutable(record):
             found.damaged.append(DamagedEntry(entry, "a later one may have been lost with the log", place))
             continue
         other = found.valid.get(entry.key)
         if other is None or other[0].written_at <= entry.written_at:
-            found.valid[entry.key] = entry, page
+            found.valid[entry.key] = entry, record
     return found
 
 
@@ -192,10 +192,10 @@ def describe_loss(entry: JournalEntry) -> str:
     return f"{meanings}, stored {format_time(entry.written_at)}"
 
 
-def format_time(kept: float) -> str:
+def format_time(seconds: float) -> str:
     """A wall-clock time in UTC."""
     try:
-        return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(kept))
+        return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(seconds))
     except (OverflowError, ValueError, TypeError, OSError):
         return "an unknown time"
 
@@ -212,7 +212,7 @@ def _load(path: Path, owner: JournalOwner, report: Callable[[str], None], now: f
         found = classify_entries(path, store.entries())
         if head is None or found.damaged:
             head = _new_head(owner)
-            if any(is_promise_lost(one.entry) for one in found.damaged):
+            if any(is_promise_lost(damage.entry) for damage in found.damaged):
                 found.valid.pop(NO_RECORD, None)
                 store.commit([((), [NO_RECORD])])
             store.move_aside(found.damaged, head, now)
@@ -224,23 +224,23 @@ def _load(path: Path, owner: JournalOwner, report: Callable[[str], None], now: f
 
 
 def _salvage_file(
-    path: Path, owner: JournalOwner, report: Callable[[str], None], now: float, why: str
+    path: Path, owner: JournalOwner, report: Callable[[str], None], now: float, reason: str
 ) -> None:
     """Move a whole file aside, after its readable records were written into a new file."""
-    left = salvage_database(path)
-    if left.header is not None:
-        _check_owner(path, left.header, owner)
-    found = classify_entries(path, left.entries.items(), may_be_stale=left.may_be_stale)
-    whole = left.is_complete and not found.damaged
-    head = left.header if whole and left.header is not None else _new_head(owner)
-    if not left.is_complete or any(is_promise_lost(one.entry) for one in found.damaged):
+    salvaged = salvage_database(path)
+    if salvaged.header is not None:
+        _check_owner(path, salvaged.header, owner)
+    found = classify_entries(path, salvaged.entries.items(), may_be_stale=salvaged.may_be_stale)
+    is_whole = salvaged.is_complete and not found.damaged
+    head = salvaged.header if is_whole and salvaged.header is not None else _new_head(owner)
+    if not salvaged.is_complete or any(is_promise_lost(damage.entry) for damage in found.damaged):
         # The type of a missing record is unknown.
         found.valid.pop(NO_RECORD, None)
-    aside = _write_journal(path, head, found.valid, found.damaged, now)
+    new_name = _write_journal(path, head, found.valid, found.damaged, now)
     count = len(found.valid)
     report(
-        f"the journal {path} is damaged ({why}) and is now {aside}: {count} page{'s' * (count != 1)} of it "
-        f"could be read and count; {_NOTHING_LOST if whole else _PROMISES_LOST}"
+        f"the journal {path} is damaged ({reason}) and is now {new_name}: {count} page{'s' * (count != 1)} "
+        f"of it could be read and count; {_NOTHING_LOST if is_whole else _PROMISES_LOST}"
     )
     _report_damage(path, found.damaged, report)
 
@@ -257,11 +257,10 @@ _WAL_MISSING = "its log is missing"
 
 
 def _report_damage(path: Path, damaged: Iterable[DamagedEntry], report: Callable[[str], None]) -> None:
-    for one in damaged:
+    for damage in damaged:
         report(
-            f"{describe_loss(one.entry)}, is damaged in the journal {path} ({one.why}); it was moved aside, "
-            "the rest "
-            f"counts; {_PROMISES_LOST}"
+            f"{describe_loss(damage.entry)}, is damaged in the journal {path} ({damage.reason}); "
+            f"it was moved aside, the rest counts; {_PROMISES_LOST}"
         )
 
 
@@ -277,8 +276,8 @@ def _write_journal(
 ) -> str:
     """Replace the file at the path by a valid journal; returns the new name of the old file, '' for none."""
     making = path.with_name(f"{path.name}.making")
-    for ending in ("", "-journal", "-wal", "-shm"):
-        making.with_name(making.name + ending).unlink(missing_ok=True)
+    for suffix in ("", "-journal", "-wal", "-shm"):
+        making.with_name(making.name + suffix).unlink(missing_ok=True)
     # SQLite gives its other files the same permissions.
     os.close(os.open(making, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
     Store.create(making, head, [entry for entry, _ in valid.values()], damaged, now)
@@ -291,16 +290,16 @@ def _finish_replacement(path: Path) -> str:
     whole = _replacement_path(path)
     if not whole.exists():
         return ""
-    aside = _aside_path(path)
+    new_path = _aside_path(path)
     # The log is first, because it must not be used with the new file.
-    for ending in ("-wal", ""):
+    for suffix in ("-wal", ""):
         with suppress(FileNotFoundError):
-            path.with_name(path.name + ending).rename(aside.with_name(aside.name + ending))
+            path.with_name(path.name + suffix).rename(new_path.with_name(new_path.name + suffix))
     path.with_name(f"{path.name}-shm").unlink(missing_ok=True)
     clear_dirty_flag(path)
     whole.rename(path)
     sync_folder(path.parent)
-    return aside.name
+    return new_path.name
 
 
 def _replacement_path(path: Path) -> Path:
@@ -309,9 +308,9 @@ def _replacement_path(path: Path) -> Path:
 
 def _aside_path(path: Path) -> Path:
     number = 1
-    while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
+    while (new_path := path.with_name(f"{path.name}.damaged-{number}")).exists():
         number += 1
-    return aside
+    return new_path
 
 
 # --- owner ----------------------------------------------------------------------------------------

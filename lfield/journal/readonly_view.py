@@ -117,6 +117,8 @@ def _check_wal(path: Path) -> None:
 
 
 def _read_damaged(path: Path, fault: str) -> ReadOnlyView:
-    left = salvage_database(path)
-    found = classify_entries(path, left.entries.items(), may_be_stale=left.may_be_stale, attempts=True)
-    return ReadOnlyView(left.header, list(found.valid.values()), found.damaged, [], fault)
+    salvaged = salvage_database(path)
+    found = classify_entries(
+        path, salvaged.entries.items(), may_be_stale=salvaged.may_be_stale, attempts=True
+    )
+    return ReadOnlyView(salvaged.header, list(found.valid.values()), found.damaged, [], fault)

@@ -245,14 +245,14 @@ def decode_record(found: JournalEntry) -> Record:
             raise RecordError("its checksum does not fit")
         if found.version > VERSION:
             raise UnsupportedRecordVersion(f"it is of version {found.version}")
-        page = _decoder.decode(found.body)
+        record = _decoder.decode(found.body)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise RecordError(f"it cannot be read: {error}") from None
     except (TypeError, ValueError, AttributeError, struct.error):
         raise RecordError("it is not of the right kind") from None
-    if key_of(page) != found.key:
+    if key_of(record) != found.key:
         raise RecordError("it is stored under another key")
-    return page
+    return record
 
 
 def _check(key: RecordKey, written_at: float, version: int, body: bytes) -> int:

@@ -55,16 +55,16 @@ def temporary_copy(path: Path) -> Iterator[Path]:
 def salvage_database(path: Path) -> SalvageResult:
     """All readable contents of a database. Raises OSError."""
     with temporary_copy(path) as copy:
-        mended = _merge_wal(copy)
+        is_merged = _merge_wal(copy)
         _pad_file(copy)
         found = _read(copy)
     if not found.entries:
         with temporary_copy(path) as copy:
-            mended = _merge_wal(copy)
+            is_merged = _merge_wal(copy)
             _replace_first_page(copy)
             found = _read(copy)
-    is_stale = mended is False or is_wal_missing(path)
-    return found._replace(is_complete=bool(mended) and found.is_complete, may_be_stale=is_stale)
+    is_stale = is_merged is False or is_wal_missing(path)
+    return found._replace(is_complete=bool(is_merged) and found.is_complete, may_be_stale=is_stale)
 
 
 def read_both_ends(store: Store) -> dict[int, JournalEntry]:
@@ -112,9 +112,9 @@ def _replace_first_page(copy: Path) -> None:
     new = copy.with_name("new")
     with suppress(sqlite3.Error):
         Store.create(new, JournalHeader(0, "", "", ""))
-        pages = -(-copy.stat().st_size // _PAGE)
+        page_count = -(-copy.stat().st_size // _PAGE)
         first = bytearray(new.read_bytes()[:_PAGE])
-        struct.pack_into(">I", first, _PAGES.size - 4, pages)
+        struct.pack_into(">I", first, _PAGES.size - 4, page_count)
         with copy.open("r+b") as file:
             file.write(first)
-        os.truncate(copy, pages * _PAGE)
+        os.truncate(copy, page_count * _PAGE)

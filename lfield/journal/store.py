@@ -56,7 +56,7 @@ class DamagedEntry(NamedTuple):
     """A damaged entry, the reason, and its row id."""
 
     entry: JournalEntry
-    why: str
+    reason: str
     place: int = 0
 
 
@@ -157,7 +157,7 @@ class Store:
         """Remove damaged entries from the records, and give the journal a new id."""
         with self._transaction():
             self._note(damaged, found)
-            places = [(one.place,) for one in damaged]
+            places = [(damage.place,) for damage in damaged]
             self._connection.executemany("DELETE FROM pages WHERE rowid = ?", places)
             self._run("DELETE FROM head")
             self._write_head(head)
@@ -181,7 +181,7 @@ class Store:
         self._connection.executemany(_WRITE, ((*entry.key, *entry[1:]) for entry in entries))
 
     def _note(self, damaged: Iterable[DamagedEntry], found: float) -> None:
-        rows = ((*one.entry.key, *one.entry[1:], one.why, found) for one in damaged)
+        rows = ((*damage.entry.key, *damage.entry[1:], damage.reason, found) for damage in damaged)
         self._connection.executemany(_NOTE_DAMAGE, rows)
 
     def _write_head(self, head: JournalHeader) -> None:

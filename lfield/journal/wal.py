@@ -130,17 +130,17 @@ def rebuild_database(database: bytes, log: Wal) -> tuple[bytes, bool]:
 
 
 def _parse(data: bytes) -> Wal:
-    magic, _, page, _, salts, *sums = _HEAD.unpack_from(data)
+    magic, _, page_size, _, salts, *sums = _HEAD.unpack_from(data)
     order = ">" if magic & 1 else "<"
-    sound = magic & ~1 == _MAGIC and tuple(sums) == _checksums(data[: _HEAD.size - 8], (0, 0), order)
-    if page not in _PAGE_SIZES:
-        page = 4096
-    slots = list(_frame_slots(data, page))
-    if not sound and slots:
+    is_valid = magic & ~1 == _MAGIC and tuple(sums) == _checksums(data[: _HEAD.size - 8], (0, 0), order)
+    if page_size not in _PAGE_SIZES:
+        page_size = 4096
+    slots = list(_frame_slots(data, page_size))
+    if not is_valid and slots:
         salts = slots[0][2]
     end = max((at + 1 for at, slot in enumerate(slots) if slot[2] == salts), default=0)
     before: Checksums = sums[0], sums[1]
-    frames, believed, goes_on = list[WalFrame](), 0, sound
+    frames, believed, goes_on = list[WalFrame](), 0, is_valid
     for number, size, stored_salts, checked, image, found in slots[:end]:
         fits = (
             stored_salts == salts
@@ -158,9 +158,9 @@ def _parse(data: bytes) -> Wal:
     return Wal(frames, believed)
 
 
-def _frame_slots(data: bytes, page: int) -> Iterator[tuple[int, int, bytes, bytes, bytes, Checksums]]:
+def _frame_slots(data: bytes, page_size: int) -> Iterator[tuple[int, int, bytes, bytes, bytes, Checksums]]:
     """The frames: number, size, salts, checksummed part of the header, image, checksums."""
-    step = _FRAME.size + page
+    step = _FRAME.size + page_size
     for at in range(_HEAD.size, len(data) - step + 1, step):
         number, size, salts, *sums = _FRAME.unpack_from(data, at)
         image = data[at + _FRAME.size : at + step]

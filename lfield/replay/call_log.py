@@ -124,13 +124,18 @@ class CallLog:
     def _difference(self, other: CallLog, agent: str) -> CallDifference | None:
         recorded, replayed = self.by_agent.get(agent, []), other.by_agent.get(agent, [])
         for number in range(max(len(recorded), len(replayed))):
-            one = recorded[number] if number < len(recorded) else None
-            two = replayed[number] if number < len(replayed) else None
-            if one is None and two is not None and two.at >= self.ended_at and agent not in self.ended:
+            recorded_call = recorded[number] if number < len(recorded) else None
+            replayed_call = replayed[number] if number < len(replayed) else None
+            if (
+                recorded_call is None
+                and replayed_call is not None
+                and replayed_call.at >= self.ended_at
+                and agent not in self.ended
+            ):
                 # The recorded agent was halted then.
                 return None
-            if one is None or two is None or one.text != two.text:
-                return CallDifference(agent, number + 1, one, two)
+            if recorded_call is None or replayed_call is None or recorded_call.text != replayed_call.text:
+                return CallDifference(agent, number + 1, recorded_call, replayed_call)
         return None
 
 

@@ -58,8 +58,8 @@ def _all_events(paths: Iterable[Path]) -> Iterator[DeviceEvent]:
             if segment.start is None or not isinstance(record, InputRecord | NoteRecord):
                 continue
             wall_time = segment.start.wall_time + record.time - segment.start.monotonic
-            for what in _events_of(record, segment.start):
-                yield DeviceEvent(record.time, wall_time, what)
+            for event in _events_of(record, segment.start):
+                yield DeviceEvent(record.time, wall_time, event)
 
 
 def _events_of(record: InputRecord | NoteRecord, start: SegmentStart) -> Iterator[events.StateEvent]:

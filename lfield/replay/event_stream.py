@@ -120,9 +120,9 @@ class _EventSource:
 def _device_events(incarnation: Incarnation, paths: Iterable[Path], shift: float) -> Iterator[DatedEvent]:
     start = incarnation.parts[0].start
     for found in device_events(paths, outside_events(incarnation.parts)):
-        at, up = found.time - start.at + start.wall + shift, max(0.0, found.time - start.at)
+        at, uptime = found.time - start.at + start.wall + shift, max(0.0, found.time - start.at)
         # The log of the host numbers its own events from 1 on.
-        yield DatedEvent(incarnation.host, start.incarnation, Event(0, at, up, 0, found.what), None)
+        yield DatedEvent(incarnation.host, start.incarnation, Event(0, at, uptime, 0, found.what), None)
 
 
 def _samples(incarnation: Incarnation, paths: Iterable[Path], shift: float) -> Iterator[TelemetrySample]:

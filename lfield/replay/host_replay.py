@@ -164,10 +164,10 @@ class HostReplay:
         is_last = number + 1 >= self.recording.turns
         while self._outside < len(found) and (is_last or found[self._outside].at <= at):
             event = found[self._outside]
-            up = event.at - start.at
-            wall = start.wall + up
+            uptime = event.at - start.at
+            wall = start.wall + uptime
             stamp = timestamp_of(max(0, int(wall * 1000.0)), 0)
-            self.core.recorder.event_log.append(event.what, wall, max(0.0, up), 0, stamp)
+            self.core.recorder.event_log.append(event.what, wall, max(0.0, uptime), 0, stamp)
             self._outside += 1
 
     def __iter__(self) -> Iterator[ReplayedTurn]:
@@ -246,8 +246,8 @@ def _plain(effects: list[Effect]) -> list[list[Any]]:
 
 def _first_difference(recorded: list[list[Any]], replayed: list[list[Any]]) -> Divergence:
     for number in range(max(len(recorded), len(replayed))):
-        one = recorded[number] if number < len(recorded) else None
-        other = replayed[number] if number < len(replayed) else None
-        if one != other:
-            return Divergence(f"effect {number + 1}", one, other)
+        recorded_effect = recorded[number] if number < len(recorded) else None
+        replayed_effect = replayed[number] if number < len(replayed) else None
+        if recorded_effect != replayed_effect:
+            return Divergence(f"effect {number + 1}", recorded_effect, replayed_effect)
     return Divergence("effects", recorded, replayed)

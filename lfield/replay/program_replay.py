@@ -88,7 +88,7 @@ class ProgramRun:
         self._recorded: dict[int, tuple[str, int]] = {}
         self._counts: dict[str, count[int]] = {}
         #: The numbers of this program's calls by agent and position, and answers that came before their call.
-        self._made: dict[tuple[str, int], int] = {}
+        self._call_numbers: dict[tuple[str, int], int] = {}
         self._made_counts: dict[str, count[int]] = {}
         self._early: dict[tuple[str, int], DeviceAnswered] = {}
         #: Inputs about a coordinator, by sender and coordinator, that wait for an action of this program.
@@ -97,7 +97,7 @@ class ProgramRun:
         self._issued, self._durable, self._last_durable = 0, 0, _last_durable(recording)
         #: The number of the last event that was read, and the departures that were read.
         self._last_event = 0
-        self._left: dict[TransferKey, MigrationStarted] = {}
+        self._departures: dict[TransferKey, MigrationStarted] = {}
         #: The time when the recorded host halted its agents, as a common time of the team; infinite before.
         self.halted_at = math.inf
 
@@ -158,7 +158,7 @@ class ProgramRun:
     @property
     def missed_calls(self) -> int:
         """The number of recorded device calls that were not made."""
-        return len(self._recorded) - len(self._made)
+        return len(self._recorded) - len(self._call_numbers)
 
     @property
     def longest_computation(self) -> int:
@@ -191,7 +191,7 @@ class ProgramRun:
                 key = self._recorded.get(entry.number)
                 if key is None:
                     return None
-                number = self._made.get(key)
+                number = self._call_numbers.get(key)
                 if number is None:
                     self._early[key] = entry
                     return None
@@ -229,22 +229,25 @@ class ProgramRun:
             match event.what:
                 case AgentFinished(agent=agent):
                     self._log.ended.add(agent)
-                case MigrationStarted(portal=portal) as left if portal:
-                    self._left[TransferKey(left.agent, left.generation, left.sequence, left.to)] = left
+                case MigrationStarted(portal=portal) as departure if portal:
+                    key = TransferKey(departure.agent, departure.generation, departure.sequence, departure.to)
+                    self._departures[key] = departure
 
     def log_departures(self, order: TeamOrder, ended: Collection[str]) -> None:
         """Log the portal calls of hops that are not in the recording, of agents whose recorded ones ended."""
         self.read_events()
-        for hop in [*self._left.keys() - order.sends.keys()]:
-            left = self._left.pop(hop)
-            if left.agent in ended:
-                self._log.add_departure(self._core, left.agent, f"{left.resource}.{left.portal}", self._at)
+        for hop in [*self._departures.keys() - order.sends.keys()]:
+            departure = self._departures.pop(hop)
+            if departure.agent in ended:
+                self._log.add_departure(
+                    self._core, departure.agent, f"{departure.resource}.{departure.portal}", self._at
+                )
 
     def _on_device_call(self, command: CallDevice) -> None:
         self._log.add_device_call(self._core, command, self._at)
         agent = command.agent.id
         key = agent, next(self._made_counts.setdefault(agent, count()))
-        self._made[key] = command.number
+        self._call_numbers[key] = command.number
         if (answer := self._early.pop(key, None)) is not None:
             self._run(DeviceAnswered(command.number, answer.value, answer.error))
 
@@ -303,8 +306,8 @@ def run_program(
     `recorded` are the calls of the recorded program, if this program is another one.
     """
     log, sent = CallLog(), SentBlocks()
-    given = mission, recording.mission.program, engines, log, sent
-    runs = [ProgramRun(part, *given, recorded) for part in order.parts]
+    arguments = mission, recording.mission.program, engines, log, sent
+    runs = [ProgramRun(part, *arguments, recorded) for part in order.parts]
     last = 0.0
     for turn in order:
         runs[turn.part].turn(turn.record, turn.at)

@@ -151,9 +151,9 @@ def _guard_result(incarnation: Incarnation, device: str, replay: GuardReplay) ->
     found = PartResult(incarnation.host, start.incarnation, guard=device)
     found.digests = replay.digests
     if (first := replay.first) is not None:
-        what = f"decision of the guard of {device} about {first.given}"
+        subject = f"decision of the guard of {device} about {first.given}"
         found.first = FirstDifference(
-            incarnation.host, first.wall_time, 0, "", "", what, first.recorded, first.replayed
+            incarnation.host, first.wall_time, 0, "", "", subject, first.recorded, first.replayed
         )
     return found
 
@@ -196,10 +196,10 @@ def plain(value: object) -> Any:
     return value
 
 
-def _agent_of(what: str, *values: object) -> str:
+def _agent_of(subject: str, *values: object) -> str:
     """The agent that a difference concerns: that of the block, or the one that an effect names."""
-    if what.startswith("block of "):
-        return what.removeprefix("block of ")
+    if subject.startswith("block of "):
+        return subject.removeprefix("block of ")
     return next(iter(_names(values)), "")
 
 

@@ -135,13 +135,14 @@ class TeamOrder:
             offsets[root] = guesses[root]
             queue = [root]
             while queue:
-                one = queue.pop(0)
+                aligned = queue.pop(0)
                 for other in range(len(self.parts)):
-                    if other in offsets or (one, other) not in bounds:
+                    if other in offsets or (aligned, other) not in bounds:
                         continue
-                    low, high = bounds[one, other]
-                    guess = guesses[other] - guesses[one]
-                    offsets[other] = offsets[one] + _within(guess, low, high, self._opened_at(one, other))
+                    low, high = bounds[aligned, other]
+                    guess = guesses[other] - guesses[aligned]
+                    opened = self._opened_at(aligned, other)
+                    offsets[other] = offsets[aligned] + _within(guess, low, high, opened)
                     queue.append(other)
         return [offsets[number] for number in range(len(self.parts))]
 
@@ -153,21 +154,21 @@ class TeamOrder:
                 pair = sent.part, arrived.part
                 low[pair] = max(low.get(pair, -math.inf), sent.at - arrived.at)
         found: dict[tuple[int, int], tuple[float, float]] = {}
-        for one, other in {*low, *((b, a) for a, b in low)}:
-            found[one, other] = low.get((one, other), -math.inf), -low.get((other, one), -math.inf)
-        for one, other in permutations(range(len(self.parts)), 2):
-            if (opened := self._opened_at(one, other)) is None:
+        for part, other in {*low, *((b, a) for a, b in low)}:
+            found[part, other] = low.get((part, other), -math.inf), -low.get((other, part), -math.inf)
+        for part, other in permutations(range(len(self.parts)), 2):
+            if (opened := self._opened_at(part, other)) is None:
                 continue
-            near = opened - LINK_TOLERANCE, opened + LINK_TOLERANCE
-            known = found.get((one, other), (-math.inf, math.inf))
-            both = max(near[0], known[0]), min(near[1], known[1])
-            found[one, other] = both if both[0] <= both[1] else known
+            bounds = opened - LINK_TOLERANCE, opened + LINK_TOLERANCE
+            known = found.get((part, other), (-math.inf, math.inf))
+            both = max(bounds[0], known[0]), min(bounds[1], known[1])
+            found[part, other] = both if both[0] <= both[1] else known
         return found
 
-    def _opened_at(self, one: int, other: int) -> float | None:
+    def _opened_at(self, part: int, other: int) -> float | None:
         """The offset of `other` at which both opened their link at the same time; None without a link."""
-        met = self._meetings.get((one, self.parts[other].start.incarnation))
-        met_other = self._meetings.get((other, self.parts[one].start.incarnation))
+        met = self._meetings.get((part, self.parts[other].start.incarnation))
+        met_other = self._meetings.get((other, self.parts[part].start.incarnation))
         return None if met is None or met_other is None else met - met_other
 
 

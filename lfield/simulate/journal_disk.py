@@ -109,7 +109,7 @@ class SimulatedJournal(JournalBase):
     ) -> None:
         super().__init__(records, self._commit, clock)
         self._disk, self.identity, self._clock = disk, identity, clock
-        self.trouble = disk.trouble()
+        self.problem = disk.trouble()
         self._closed = False
 
     def close(self) -> None:
@@ -126,7 +126,7 @@ class SimulatedJournal(JournalBase):
         try:
             self._disk.write(changes, self._clock.time())
         except JournalError as error:
-            self.trouble = error.reason
+            self.problem = error.reason
             raise
-        self.trouble = self._disk.trouble()
+        self.problem = self._disk.trouble()
         await asyncio.sleep(sync - before)

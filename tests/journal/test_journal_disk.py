@@ -83,7 +83,7 @@ def test_the_reserve_is_used_when_the_disk_is_full(bench: FileBench, monkeypatch
         patch.setattr(os, "posix_fallocate", failing_fallocate)
         bench.run(journal.persist([StartCounter(5)]))
         assert not reserve.exists()
-        assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
+        assert journal.problem == "its disk is full: it writes into the space that was kept in advance"
         # The log is overwritten; otherwise it would use the remaining space.
         for count in range(20):
             bench.run(
@@ -92,7 +92,7 @@ def test_the_reserve_is_used_when_the_disk_is_full(bench: FileBench, monkeypatch
         assert bench.path.with_name("host.journal-wal").stat().st_size < 9 * STEP_BYTES
     bench.run(journal.persist([]))
     assert reserve.exists()
-    assert journal.trouble == ""
+    assert journal.problem == ""
     assert StartCounter(5) in bench.open().records()
 
 
@@ -111,10 +111,10 @@ def test_the_released_reserve_does_not_count_as_free_space(
     store.commit = failing(sqlite3.SQLITE_FULL, 1, store.commit)  # type: ignore
     for count in range(3):
         bench.run(journal.persist([StartCounter(count)]))
-        assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
+        assert journal.problem == "its disk is full: it writes into the space that was kept in advance"
     free[0] = 2 * MIN_BYTES
     bench.run(journal.persist([]))
-    assert journal.trouble == ""
+    assert journal.problem == ""
     assert bench.path.with_name("host.reserve").exists()
 
 
@@ -132,18 +132,18 @@ def test_a_disk_without_space_for_more_records_is_reported_once(
             bench.run(
                 journal.persist([CoordinatorRecord("scout", 1, state, hop, block=bytes(3 * STEP_BYTES))])
             )
-            reports.append(journal.trouble)
+            reports.append(journal.problem)
     assert set(reports) == {"its disk has room for what is here, and for no more"}
     assert reserve.stat().st_size == MIN_BYTES
     free[0] = 6 * STEP_BYTES - 512
     bench.run(journal.persist([]))
-    assert journal.trouble
+    assert journal.problem
     free[0] = 6 * STEP_BYTES
     for _ in range(2):
         bench.run(journal.persist([]))
-        assert journal.trouble == ""
+        assert journal.problem == ""
     bench.run(journal.persist([CoordinatorRecord("scout", 1, "RUN", 9, block=bytes(3 * STEP_BYTES))]))
-    assert (journal.trouble, reserve.stat().st_size) == ("", MIN_BYTES + 6 * STEP_BYTES)
+    assert (journal.problem, reserve.stat().st_size) == ("", MIN_BYTES + 6 * STEP_BYTES)
 
 
 def test_a_reserve_that_cannot_grow_keeps_its_size(bench: FileBench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,11 +152,11 @@ def test_a_reserve_that_cannot_grow_keeps_its_size(bench: FileBench, monkeypatch
     reserve = bench.path.with_name("host.reserve")
     monkeypatch.setattr(os, "posix_fallocate", failing_fallocate)
     bench.run(journal.persist([CoordinatorRecord("scout", 1, "RUN", block=bytes(STEP_BYTES))]))
-    assert journal.trouble == "its disk has room for what is here, and for no more"
+    assert journal.problem == "its disk has room for what is here, and for no more"
     assert reserve.stat().st_size == MIN_BYTES
     monkeypatch.undo()
     bench.run(journal.persist([]))
-    assert (journal.trouble, reserve.stat().st_size) == ("", MIN_BYTES + 2 * STEP_BYTES)
+    assert (journal.problem, reserve.stat().st_size) == ("", MIN_BYTES + 2 * STEP_BYTES)
 
 
 def test_a_disk_that_is_full_from_the_beginning_has_no_reserve(
@@ -164,7 +164,7 @@ def test_a_disk_that_is_full_from_the_beginning_has_no_reserve(
 ) -> None:
     monkeypatch.setattr(os, "statvfs", lambda path: SimpleNamespace(f_bavail=0, f_frsize=512, f_namemax=255))
     journal = bench.open()
-    assert journal.trouble == "its disk has room for what is here, and for no more"
+    assert journal.problem == "its disk has room for what is here, and for no more"
     assert not bench.path.with_name("host.reserve").exists()
 
 
@@ -177,9 +177,9 @@ def test_a_failing_disk_is_reported_and_retried(bench: FileBench) -> None:
     journal._store.commit = failing(sqlite3.SQLITE_IOERR, 2, journal._store.commit)  # type: ignore
     with pytest.raises(JournalError, match=r"its disk fails; see the kernel log \(dmesg\)") as found:
         bench.run(journal.persist([StartCounter(1)]))
-    assert (found.value.exit_status, journal.trouble) == (73, "its disk fails")
+    assert (found.value.exit_status, journal.problem) == (73, "its disk fails")
     bench.run(journal.persist([StartCounter(2)]))
-    assert journal.trouble == ""
+    assert journal.problem == ""
     assert bench.open().records() == [StartCounter(2)]
 
 

@@ -90,7 +90,7 @@ def test_a_newer_version_is_refused_and_not_changed(
         # A read-only process sees all other records.
         observed = open_read_only(bench.path)
         assert len(observed.records) == len(PAGES)
-        assert [record.why for record in observed.damaged] == [
+        assert [record.reason for record in observed.damaged] == [
             "it is of version 3: install the lfield that wrote it"
         ]
     assert bench.path.read_bytes() == data
@@ -248,7 +248,7 @@ def test_a_damaged_record_is_kept_for_inspection(bench: FileBench) -> None:
     bench.open()
     observed = open_read_only(bench.path)
     assert (len(observed.records), observed.damaged) == (19, [])
-    assert [(record.entry.key.name, record.why) for record in observed.moved_aside] == [
+    assert [(record.entry.key.name, record.reason) for record in observed.moved_aside] == [
         ("agent3", "its checksum does not fit")
     ]
 

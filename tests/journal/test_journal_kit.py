@@ -169,10 +169,10 @@ def test_a_full_disk_is_reported_and_the_journal_recovers(bench: Bench) -> None:
             await journal.persist([StartCounter(2), LARGE])
 
     bench.run(fail())
-    assert "no space" in journal.trouble or "full" in journal.trouble
+    assert "no space" in journal.problem or "full" in journal.problem
     bench.fill(False)
     bench.run(journal.persist([]))
-    assert journal.trouble == ""
+    assert journal.problem == ""
     # No record of the failed change is stored.
     assert bench.open().records() == [StartCounter(1)]
 

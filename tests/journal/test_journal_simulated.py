@@ -52,7 +52,7 @@ def test_a_failed_write_may_still_have_stored_the_records(bench: SimulatedBench)
         bench.disk.broken = True
         with pytest.raises(JournalError, match="its disk fails"):
             bench.run(journal.persist(AFTER))
-        assert journal.trouble == "its disk fails"
+        assert journal.problem == "its disk fails"
         with pytest.raises(JournalError):
             bench.open()
         bench.disk.broken = False
@@ -66,7 +66,7 @@ def test_a_full_disk_has_some_reserve(bench: SimulatedBench) -> None:
     bench.disk.full = True
     for count in range(RESERVE):
         bench.run(journal.persist([StartCounter(count)]))
-        assert journal.trouble == "its disk is full"
+        assert journal.problem == "its disk is full"
     with pytest.raises(JournalError, match="no space is left"):
         bench.run(journal.persist([StartCounter(99)]))
 

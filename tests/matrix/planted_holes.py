@@ -101,9 +101,9 @@ HOLES = (
     Hole(
         "signatures are not required",
         "host/process/host_process.py",
-        "release, doubt = require_signature("
+        "release, reason = require_signature("
         "mission, credentials, admission, journal.records() if journal else ())",
-        'release, doubt = mission.release, ""',
+        'release, reason = mission.release, ""',
         "as_a_bundle",
     ),
     Hole(
@@ -165,8 +165,8 @@ HOLES = (
     Hole(
         "a host treats the call of an assistant as that of the person",
         "host/person_calls/person_calls.py",
-        "if order.is_assistant and (why",
-        "if False and (why",
+        "if order.is_assistant and (reason",
+        "if False and (reason",
         "of_an_assistant",
     ),
     Hole(

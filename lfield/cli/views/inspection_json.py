@@ -79,7 +79,7 @@ def journal_data(view: ReadOnlyView) -> dict[str, Any]:
 
 
 def _damage_data(entries: Iterable[DamagedEntry]) -> list[dict[str, str]]:
-    return [{"what": describe_loss(damaged.entry), "reason": damaged.why} for damaged in entries]
+    return [{"what": describe_loss(damaged.entry), "reason": damaged.reason} for damaged in entries]
 
 
 def _record_data(record: Record, programs: Mapping[bytes, ProgramRecord]) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def journal_lines(view: ReadOnlyView) -> Iterator[str]:
             yield from _pending_call_lines(record, entry.written_at)
     for title, damaged in (("damaged", view.damaged), ("moved aside", view.moved_aside)):
         for lost in damaged:
-            yield f"\n{title}: {describe_loss(lost.entry)}: {lost.why}"
+            yield f"\n{title}: {describe_loss(lost.entry)}: {lost.reason}"
 
 
 def _coordinator_lines(

@@ -118,8 +118,8 @@ class CsvTables:
         return self._devices[device]
 
     def _add_event(self, dated: DatedEvent) -> None:
-        time, host, what = _time(dated.time), dated.host, dated.event.what
-        match what:
+        time, host, event = _time(dated.time), dated.host, dated.event.what
+        match event:
             case LinkTelemetry(peer, round_trip, loss, sent, received):
                 self._table("links.csv", _LINK_COLUMNS).add(
                     time, host, peer, round_trip, loss, sent, received

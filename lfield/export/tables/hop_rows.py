@@ -25,7 +25,7 @@ class _Hop:
     resource: str = ""
     portal: str = ""
     size: int | None = None
-    left: float | None = None
+    departed: float | None = None
     arrived: float | None = None
     confirmed: float | None = None
     seconds: float | None = None
@@ -36,7 +36,7 @@ class _Hop:
     @property
     def is_complete(self) -> bool:
         """Whether no event of the hop is missing."""
-        return self.failed is not None or None not in (self.left, self.arrived, self.confirmed)
+        return self.failed is not None or None not in (self.departed, self.arrived, self.confirmed)
 
 
 class HopRows:
@@ -47,10 +47,10 @@ class HopRows:
 
     def rows(self, dated: DatedEvent) -> Iterator[tuple[object, ...]]:
         """The row of a hop that is complete with an event."""
-        what = dated.event.what
-        if not isinstance(what, MigrationStarted | MigrationArrived | MigrationConfirmed | MigrationFailed):
+        event = dated.event.what
+        if not isinstance(event, MigrationStarted | MigrationArrived | MigrationConfirmed | MigrationFailed):
             return
-        key = what.agent, what.generation, what.sequence
+        key = event.agent, event.generation, event.sequence
         hop = self._open.setdefault(key, _Hop())
         _add(hop, dated)
         if hop.is_complete:
@@ -70,7 +70,7 @@ def _add(hop: _Hop, dated: DatedEvent) -> None:
     match dated.event.what:
         case MigrationStarted(_, _, _, to, resource, portal, size):
             hop.source, hop.target, hop.resource, hop.portal = dated.host, to, resource, portal
-            hop.size, hop.left = size, dated.time
+            hop.size, hop.departed = size, dated.time
         case MigrationArrived(_, _, _, of, size):
             hop.source, hop.target, hop.size, hop.arrived = of, dated.host, size, dated.time
         case MigrationConfirmed(_, _, _, to, seconds):
@@ -81,7 +81,7 @@ def _add(hop: _Hop, dated: DatedEvent) -> None:
 
 
 def _row(key: HopKey, hop: _Hop) -> tuple[object, ...]:
-    times = (f"{time:.6f}" if time is not None else "" for time in (hop.left, hop.arrived, hop.confirmed))
+    times = (f"{time:.6f}" if time is not None else "" for time in (hop.departed, hop.arrived, hop.confirmed))
     failed = f"{hop.failed:.6f}" if hop.failed is not None else ""
     place = (*key, hop.source, hop.target, hop.resource, hop.portal, hop.size)
     return (*place, *times, hop.seconds, failed, hop.exception, hop.reason)

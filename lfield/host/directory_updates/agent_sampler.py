@@ -76,13 +76,13 @@ class AgentSampler:
 
         Values stated by the binding take precedence.
         """
-        bound, trouble = self._bound.get(agent, {}), self.unavailability(agent)
-        if not live and not bound and trouble is None:
+        bound, unavailability = self._bound.get(agent, {}), self.unavailability(agent)
+        if not live and not bound and unavailability is None:
             return UNCHANGED
         found = {name: self._sample(agent, live[name]) for name in live if name not in bound}
         samples = {name: sample for name, sample in found.items() if isinstance(sample, AttributeSample)}
-        unknown = {name: why for name, why in found.items() if isinstance(why, str)}
-        return AgentCondition(trouble, {**samples, **bound}, unknown)
+        unknown = {name: reason for name, reason in found.items() if isinstance(reason, str)}
+        return AgentCondition(unavailability, {**samples, **bound}, unknown)
 
     def unavailability(self, agent: str) -> Unavailability | None:
         """The reason why an agent of this host cannot be called now; None when it can."""
@@ -92,25 +92,25 @@ class AgentSampler:
         if running.ended:
             return Unavailability(f"died of {running.report.splitlines()[0]}")
         found = (self._devices.trouble(f"{agent}.{field}") for field in self._fields.get(agent, ()))
-        return next((trouble for trouble in found if trouble), None)
+        return next((unavailability for unavailability in found if unavailability), None)
 
     def _sample(self, agent: str, live: LiveAttribute) -> AttributeSample | str:
         """The value of a live attribute, or the reason why there is none."""
-        who, what = (live.device, live.quantity) if live.device else (agent, f"{live.portal}()")
+        source, quantity = (live.device, live.quantity) if live.device else (agent, f"{live.portal}()")
         observation = self._observation(agent, live)
         if isinstance(observation, str):
             return observation
         if observation is None:
-            return f"{who} has not reported {what}"
+            return f"{source} has not reported {quantity}"
         value = observation.value
         if live.index is not None:
             if not isinstance(value, list | tuple) or live.index >= len(value):
-                return f"{who} reports no element {live.index} of {what}"
+                return f"{source} reports no element {live.index} of {quantity}"
             value = value[live.index]
         attribute, now = self._attributes[live.attribute], self._clock.monotonic()
         fitting = _converted(value, live, attribute.type)
         if fitting is None:
-            return f"{who} reports {what} as {value}"
+            return f"{source} reports {quantity} as {value}"
         return (
             AttributeSample(fitting, observation.when, now)
             if attribute.live

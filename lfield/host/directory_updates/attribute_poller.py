@@ -76,5 +76,5 @@ class AttributePoller:
         question = self._polls[agent.id, portal] = _Poll(now, result=before.result if before else None)
         self._machine.resource_queries.call_portal(agent, portal, partial(self._on_result, question))
 
-    def _on_result(self, question: _Poll, value: DeviceValue, why: str) -> None:
-        question.is_open, question.result = False, why or Observation(value, question.asked_at)
+    def _on_result(self, question: _Poll, value: DeviceValue, reason: str) -> None:
+        question.is_open, question.result = False, reason or Observation(value, question.asked_at)

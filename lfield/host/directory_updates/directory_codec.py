@@ -38,8 +38,9 @@ class DirectoryCodec:
         return DirectoryUpdate(delta.incarnation, delta.since, delta.sequence, agents)
 
     def _encode_agent(self, agent: str, change: AgentCondition, now: float) -> AgentUpdate:
-        places, trouble = self._places, change.trouble
-        lasting = None if trouble is None or trouble.since is None else bounded_duration(now - trouble.since)
+        places, unavailability = self._places, change.trouble
+        since = None if unavailability is None else unavailability.since
+        lasting = None if since is None else bounded_duration(now - since)
         facts = [
             AttributeUpdate(
                 places[name],
@@ -50,12 +51,12 @@ class DirectoryCodec:
             )
             for name, s in change.samples.items()
         ]
-        unknown = [(places[name], truncate(why, MAX_LABEL)) for name, why in change.unknown.items()]
-        reason = truncate(trouble.reason, MAX_LABEL) if trouble else ""
-        holder, held = (
+        unknown = [(places[name], truncate(text, MAX_LABEL)) for name, text in change.unknown.items()]
+        reason = truncate(unavailability.reason, MAX_LABEL) if unavailability else ""
+        holder, reserved_for = (
             ("", 0.0) if (r := change.reserved) is None else (r.holder, bounded_duration(now - r.since))
         )
-        return AgentUpdate(self._numbers[agent], reason, lasting, facts, unknown, holder, held)
+        return AgentUpdate(self._numbers[agent], reason, lasting, facts, unknown, holder, reserved_for)
 
     def decode(self, host: str, report: DirectoryUpdate, now: float) -> DirectoryDelta:
         """The changes of a host. Raises WireError for changes of agents of other hosts."""
@@ -70,7 +71,7 @@ class DirectoryCodec:
     def _decode_agent(self, deployed: AgentIdentity, update: AgentUpdate, now: float) -> AgentCondition:
         agent, live = deployed.id, self._providers[deployed.type].live
         since = None if update.lasting is None else now - update.lasting
-        trouble = Unavailability(update.trouble, since) if update.trouble else None
+        unavailability = Unavailability(update.trouble, since) if update.trouble else None
         samples: dict[str, AttributeSample] = {}
         for fact in update.facts:
             attribute = self._attribute(agent, fact.attribute)
@@ -78,9 +79,9 @@ class DirectoryCodec:
                 raise WireError(f"a report has {attribute.name} {fact.of}, which {agent} does not report")
             value = _value(agent, attribute, fact.value)
             samples[attribute.name] = AttributeSample(value, now - fact.age, now, fact.kept, fact.of)
-        unknown = {self._attribute(agent, place).name: why for place, why in update.unknown}
+        unknown = {self._attribute(agent, place).name: reason for place, reason in update.unknown}
         reserved = ReservedBy(update.holder, now - update.held) if update.holder else None
-        return AgentCondition(trouble, samples, unknown, reserved)
+        return AgentCondition(unavailability, samples, unknown, reserved)
 
     def _attribute(self, agent: str, place: int) -> Attribute:
         known = self._attributes
@@ -89,9 +90,9 @@ class DirectoryCodec:
         return known[place]
 
 
-def value_source(of: Provenance) -> ValueSource:
+def value_source(provenance: Provenance) -> ValueSource:
     """The provenance of a value as encoded; the usual provenance of a type is omitted."""
-    return "stated" if of == "nominal" else of
+    return "stated" if provenance == "nominal" else provenance
 
 
 def _value(agent: str, attribute: Attribute, value: FactValue) -> Value:

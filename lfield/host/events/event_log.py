@@ -48,11 +48,11 @@ _encode = msgspec.msgpack.Encoder().encode
 
 
 def stamped_event(
-    number: int, at: float, up: float, cause: int, what: StateEvent | TelemetryEvent, stamp: int
+    number: int, at: float, uptime: float, cause: int, content: StateEvent | TelemetryEvent, stamp: int
 ) -> Event:
     """An event with its timestamp; the other arguments are fields of it."""
     ahead = milliseconds_of(stamp) - int(at * 1000.0)
-    return Event(number, at, up, cause, what, ahead, counter_of(stamp))
+    return Event(number, at, uptime, cause, content, ahead, counter_of(stamp))
 
 
 class EventRing:
@@ -66,18 +66,18 @@ class EventRing:
 
     def append(self, number: int, size: int, event: Event) -> None:
         """Append an event with a higher number."""
-        kept = self._events
-        kept.append((number, size, event))
+        events = self._events
+        events.append((number, size, event))
         self._free_bytes -= size
-        while (self._free_bytes < 0 or len(kept) > self._max_events) and len(kept) > 1:
-            self.last_dropped, its_size, _ = kept.popleft()
+        while (self._free_bytes < 0 or len(events) > self._max_events) and len(events) > 1:
+            self.last_dropped, its_size, _ = events.popleft()
             self._free_bytes += its_size
 
     def after(self, number: int) -> Iterator[LoggedEvent]:
         """The events with higher numbers, in order; read them before the next `append`."""
-        kept = self._events
-        for n in range(bisect_right(kept, number, key=_number), len(kept)):
-            yield kept[n]
+        events = self._events
+        for n in range(bisect_right(events, number, key=_number), len(events)):
+            yield events[n]
 
 
 class EventLog:
@@ -94,12 +94,12 @@ class EventLog:
         """The number of the newest dropped event: no later event is missing."""
         return max(self._frequent.last_dropped, self._rare.last_dropped)
 
-    def append(self, what: StateEvent, at: float, up: float, cause: int = 0, stamp: int = 0) -> int:
-        """Record an event, `at` Unix time, `up` seconds after the start of the host and with the timestamp
-        `stamp`; returns its number."""
+    def append(self, content: StateEvent, at: float, uptime: float, cause: int = 0, stamp: int = 0) -> int:
+        """Record an event, `at` Unix time, `uptime` seconds after the start of the host and with the
+        timestamp `stamp`; returns its number."""
         self.latest = number = self.latest + 1
-        event = stamped_event(number, at, up, cause, what, stamp)
-        ring = self._frequent if type(what) in FREQUENT else self._rare
+        event = stamped_event(number, at, uptime, cause, content, stamp)
+        ring = self._frequent if type(content) in FREQUENT else self._rare
         ring.append(number, len(_encode(event)), event)
         return number
 

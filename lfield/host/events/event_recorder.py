@@ -42,7 +42,7 @@ class _Call(Struct):
     resource: str
     portal: str
     last: int
-    up: float
+    started_at: float
 
 
 class _Instruction(Struct):
@@ -54,7 +54,7 @@ class _Instruction(Struct):
     instruction: str
     portal: int
     number: int
-    up: float
+    started_at: float
 
 
 class EventRecorder:
@@ -108,10 +108,10 @@ class EventRecorder:
         """
         self._on_shell_event = on_event
 
-    def _emit_of_shell(self, what: StateEvent) -> int:
+    def _emit_of_shell(self, event: StateEvent) -> int:
         if self._on_shell_event is not None:
-            self._on_shell_event(what)
-        return self.emit(what)
+            self._on_shell_event(event)
+        return self.emit(event)
 
     def restart(self) -> None:
         """Forget the events, and refill all budgets: a replay has jumped to another time."""
@@ -130,22 +130,22 @@ class EventRecorder:
             drain()
 
     @property
-    def up(self) -> float:
+    def uptime(self) -> float:
         """Seconds since the start of the host, by its monotonic clock."""
         return self._clock.monotonic() - self._started_at
 
-    def emit(self, what: StateEvent, cause: int = 0) -> int:
+    def emit(self, event: StateEvent, cause: int = 0) -> int:
         """Record an event now; returns its number."""
         self.drain()
-        return self.emit_at(what, self._clock.monotonic(), cause)
+        return self.emit_at(event, self._clock.monotonic(), cause)
 
-    def emit_at(self, what: StateEvent, at: float, cause: int = 0, stamp: int = 0) -> int:
+    def emit_at(self, event: StateEvent, at: float, cause: int = 0, stamp: int = 0) -> int:
         """Record an event at this time of the monotonic clock; returns its number."""
         clock = self.hybrid_clock
         if not stamp:
             clock.set_wall_time(at, self._clock.time())
             stamp = clock.tick(at)
-        number = self.event_log.append(what, clock.wall_time(at), at - self._started_at, cause, stamp)
+        number = self.event_log.append(event, clock.wall_time(at), at - self._started_at, cause, stamp)
         if self._on_event is not None:
             self._on_event()
         return number
@@ -173,12 +173,12 @@ class EventRecorder:
     def report_dropped(self, *, at_once: bool = False) -> None:
         """Report dropped events, if due or `at_once`."""
         self.drain()
-        now = self.up
+        now = self.uptime
         for budget in self._limiters:
             budget.report_dropped(now, at_once=at_once)
 
     def emit_for_agent(
-        self, agent: str, what: StateEvent, cause: int | None = None, at: float | None = None, stamp: int = 0
+        self, agent: str, event: StateEvent, cause: int | None = None, at: float | None = None, stamp: int = 0
     ) -> int:
         """Record an agent's event, caused by the last event of the agent or by `cause`; returns its number.
         `at` is its time.
@@ -187,7 +187,7 @@ class EventRecorder:
             self.drain()
             at = self._clock.monotonic()
         cause = self._last_of_agent.get(agent, 0) if cause is None else cause
-        number = self._last_of_agent[agent] = self.emit_at(what, at, cause, stamp)
+        number = self._last_of_agent[agent] = self.emit_at(event, at, cause, stamp)
         return number
 
     # --- agents ---------------------------------------------------------------------------------------
@@ -208,9 +208,9 @@ class EventRecorder:
         """Output of `write`."""
         self._emit_output(events.Printed(agent, truncate(text), "out"))
 
-    def _emit_output(self, what: events.Printed) -> None:
-        if self._prints.try_acquire("printed", max(1.0, len(what.text) / PIECE)):
-            self.emit_for_agent(what.agent, what)
+    def _emit_output(self, event: events.Printed) -> None:
+        if self._prints.try_acquire("printed", max(1.0, len(event.text) / PIECE)):
+            self.emit_for_agent(event.agent, event)
 
     # --- portals, and instructions to devices ---------------------------------------------------------
 
@@ -218,11 +218,11 @@ class EventRecorder:
         """A portal call has started; `call` identifies it until it ends."""
         if not self._portals.try_acquire("began"):
             return
-        up = self.up
+        uptime = self.uptime
         portal = truncate(portal, MAX_LABEL)
         number = self.emit_for_agent(agent, events.PortalCallStarted(call, agent, resource, portal))
         self._last_of_agent[resource] = number
-        self._calls[call] = _Call(agent, resource, portal, number, up)
+        self._calls[call] = _Call(agent, resource, portal, number, uptime)
 
     def discard_calls(self) -> None:
         """Discard the calls under way: the ends of these calls will not be recorded."""
@@ -237,9 +237,9 @@ class EventRecorder:
         known = self._calls.pop(call, None)
         if known is None:
             return
-        seconds, detail = bounded_duration(self.up - known.up), truncate(detail)
-        what = events.PortalCallEnded(call, known.agent, known.resource, known.portal, seconds, how, detail)
-        number = self.emit(what, known.last)
+        seconds, detail = bounded_duration(self.uptime - known.started_at), truncate(detail)
+        event = events.PortalCallEnded(call, known.agent, known.resource, known.portal, seconds, how, detail)
+        number = self.emit(event, known.last)
         self._last_of_agent[known.agent] = self._last_of_agent[known.resource] = number
 
     def on_resource_died(self, resource: str, reason: str) -> None:
@@ -253,7 +253,7 @@ class EventRecorder:
         """
         if not self._commands.try_acquire("asked"):
             return
-        up = self.up
+        uptime = self.uptime
         self._device_calls_made += 1
         device, instruction = truncate(device, MAX_LABEL), truncate(instruction, MAX_LABEL)
         known = self._calls.get(portal)
@@ -261,20 +261,20 @@ class EventRecorder:
         number = self.emit(
             events.DeviceCallStarted(self._device_calls_made, agent, device, instruction), cause
         )
-        asked = _Instruction(self._device_calls_made, agent, device, instruction, portal, number, up)
-        self._instructions[agent, thread] = asked
-        self._link_cause(asked, number)
+        call = _Instruction(self._device_calls_made, agent, device, instruction, portal, number, uptime)
+        self._instructions[agent, thread] = call
+        self._link_cause(call, number)
 
     def on_device_answer(self, agent: str, thread: int, error: str) -> None:
         """The device has answered."""
-        asked = self._instructions.pop((agent, thread), None)
-        if asked is None:
+        call = self._instructions.pop((agent, thread), None)
+        if call is None:
             return
-        seconds = bounded_duration(self.up - asked.up)
-        what = events.DeviceCallEnded(
-            asked.call, agent, asked.device, asked.instruction, seconds, truncate(error)
+        seconds = bounded_duration(self.uptime - call.started_at)
+        event = events.DeviceCallEnded(
+            call.call, agent, call.device, call.instruction, seconds, truncate(error)
         )
-        self._link_cause(asked, self.emit(what, asked.number))
+        self._link_cause(call, self.emit(event, call.number))
 
     def _link_cause(self, call: _Instruction, number: int) -> None:
         self._last_of_agent[call.agent] = self._last_of_device[call.device] = number
@@ -293,27 +293,27 @@ class EventRecorder:
 
     def on_device_event(
         self,
-        what: events.DeviceLatched | events.SafeStateConfirmed | events.DeviceMoving | events.DeviceReleased,
+        event: events.DeviceLatched | events.SafeStateConfirmed | events.DeviceMoving | events.DeviceReleased,
     ) -> None:
         """A device goes into its safe state, reaches it, comes to rest, or is in use again."""
-        cause = self._last_of_device.get(what.device, 0)
-        match what:
+        cause = self._last_of_device.get(event.device, 0)
+        match event:
             case events.DeviceLatched():
-                self._motion_reports.pop(what.device, None)
-                cause = self._causes.get(what.reason, 0)
+                self._motion_reports.pop(event.device, None)
+                cause = self._causes.get(event.reason, 0)
             case events.SafeStateConfirmed() if not cause:
-                cause = self._causes.get(what.reason, 0)
-            case events.DeviceMoving() if not self._is_new_motion(what):
+                cause = self._causes.get(event.reason, 0)
+            case events.DeviceMoving() if not self._is_new_motion(event):
                 return
-        self._last_of_device[what.device] = self.emit(what, cause)
+        self._last_of_device[event.device] = self.emit(event, cause)
 
-    def _is_new_motion(self, what: events.DeviceMoving) -> bool:
+    def _is_new_motion(self, event: events.DeviceMoving) -> bool:
         """Whether the movement of a device is reported again."""
-        moving, now = bool(what.moving), self.up
-        before, at = self._motion_reports.get(what.device, (None, 0.0))
+        moving, now = bool(event.moving), self.uptime
+        before, at = self._motion_reports.get(event.device, (None, 0.0))
         if moving is before and (not moving or now - at < MOVING_EVENT_EVERY):
             return False
-        self._motion_reports[what.device] = moving, now
+        self._motion_reports[event.device] = moving, now
         return True
 
     # --- the team and operators -----------------------------------------------------------------------
@@ -335,10 +335,10 @@ class EventRecorder:
             if before is None or before is bool(refusal):
                 continue
             cause = self._last_of_host.get(hosts.get(agent, ""), 0)
-            what = (
+            event = (
                 events.OfferWithdrawn(agent, truncate(refusal)) if refusal else events.OfferPublished(agent)
             )
-            self.emit(what, cause or self._last_device_event(agent))
+            self.emit(event, cause or self._last_device_event(agent))
 
     def _last_device_event(self, agent: str) -> int:
         return max((n for d, n in self._last_of_device.items() if d.startswith(f"{agent}.")), default=0)
@@ -367,9 +367,9 @@ class EventRecorder:
         """An operator or a vote has paused or resumed the mission; devices are held for that reason."""
         self.set_cause(reason, self._emit_of_shell(events.PauseChanged(truncate(by), lifted, is_vote)))
 
-    def on_host_stopping(self, why: str, reason: str) -> None:
+    def on_host_stopping(self, description: str, reason: str) -> None:
         """The host stops; devices go into their safe states for that reason."""
-        self.set_cause(reason, self._emit_of_shell(events.HostStopping(truncate(why))))
+        self.set_cause(reason, self._emit_of_shell(events.HostStopping(truncate(description))))
 
     def on_log_line(self, line: LogLine) -> None:
         # msgspec encodes no subclass of str.

@@ -37,12 +37,12 @@ TelemetrySample = Mapping[str, tuple[object, TelemetryEvent]]
 
 
 class EventSubscription:
-    """A subscription by `request`, received `up` seconds after the start of the host.
+    """A subscription by `request`, received `uptime` seconds after the start of the host.
 
     `incarnation` is that of the host. All times are seconds since the start of the host.
     """
 
-    def __init__(self, event_log: EventLog, incarnation: int, request: Subscribe, up: float) -> None:
+    def __init__(self, event_log: EventLog, incarnation: int, request: Subscribe, uptime: float) -> None:
         self._event_log, self._incarnation = event_log, incarnation
         if request.incarnation == 0:
             self._after = event_log.latest
@@ -58,9 +58,9 @@ class EventSubscription:
         self._lost: Counter[str] = Counter()
         self._pending_telemetry: dict[str, Event] = {}
         self._known: dict[str, object] = {}
-        self._every = 1.0 / request.telemetry if request.telemetry else 0.0
+        self._sample_interval = 1.0 / request.telemetry if request.telemetry else 0.0
         #: The time when telemetry is sampled next for this subscription, None for never.
-        self.sample_due: float | None = up if self._every else None
+        self.sample_due: float | None = uptime if self._sample_interval else None
         #: The times at which the unacknowledged batches were sent; the batch of them with telemetry, 0 for
         #: none; the round trip in seconds; and the time when telemetry may be sent again.
         self._sent: dict[int, float] = {}
@@ -70,45 +70,45 @@ class EventSubscription:
         self._size, self._path, self._limit = 0, PathRate(), FIRST_BATCH_BYTES
         self._full, self._is_full = 0, False
         self._round_trip: float | None = None
-        self._rest_until = up
+        self._rest_until = uptime
         #: The time when the next batch may be sent.
-        self.next_batch_at = up
-        self._last_ack_at = up
+        self.next_batch_at = uptime
+        self._last_ack_at = uptime
 
     def resume_from(self, before: EventSubscription) -> None:
         """Continue a subscription that is renewed: its unreported losses are still to be reported."""
         self._lost.update(before._lost)
 
-    def on_ack(self, batch: int, up: float, position: int = 0) -> None:
+    def on_ack(self, batch: int, uptime: float, position: int = 0) -> None:
         """The subscriber has processed batches up to this one; see `on_sending` for `position`."""
         if not self._acknowledged < batch <= self._batch:
             return
-        self._acknowledged, self._last_ack_at = batch, up
+        self._acknowledged, self._last_ack_at = batch, uptime
         if batch in self._positions:
             self._size = self._positions.get(batch + 1, position) - self._positions[batch]
-            self._path.add(self._size, up - self._sent[batch])
+            self._path.add(self._size, uptime - self._sent[batch])
             if batch == self._batch:
                 self.next_batch_at = self._sent[batch] + self._interval
         self._limit = self._path.batch_limit(min(2 * self._limit, BATCH_BYTES))
         if self._full and self._full <= batch:
-            self._rest_until, self._full = up + self._rest(up - self._sent[self._full]), 0
+            self._rest_until, self._full = uptime + self._pause_after(uptime - self._sent[self._full]), 0
         else:
-            took = up - self._sent[batch]
+            took = uptime - self._sent[batch]
             before = took if self._round_trip is None else self._round_trip
             self._round_trip = min(took, before + CREEP * (took - before))
         self._sent = {number: at for number, at in self._sent.items() if number > batch}
         self._positions = {number: at for number, at in self._positions.items() if number > batch}
 
-    def _rest(self, took: float) -> float:
+    def _pause_after(self, took: float) -> float:
         """The pause of telemetry after a batch whose acknowledgement took this number of seconds."""
         if self._round_trip is not None:
             return min(LONGEST_REST, REST * max(0.0, took - self._round_trip))
         # The next batch has no telemetry and measures the round trip.
         return QUIET_INTERVAL if took > MIN_INTERVAL else 0.0
 
-    def has_gone(self, up: float) -> bool:
+    def has_gone(self, uptime: float) -> bool:
         """Whether the subscriber has stopped reading."""
-        return self._acknowledged < self._batch and up - self._last_ack_at >= READ_TIMEOUT
+        return self._acknowledged < self._batch and uptime - self._last_ack_at >= READ_TIMEOUT
 
     @property
     def due(self) -> float:
@@ -117,11 +117,11 @@ class EventSubscription:
             return self._last_ack_at + READ_TIMEOUT
         if not self._batch or self._snapshot or self._event_log.latest > self._after:
             return self.next_batch_at
-        quiet = self.next_batch_at - MIN_INTERVAL + QUIET_INTERVAL
+        latest_time = self.next_batch_at - MIN_INTERVAL + QUIET_INTERVAL
         return (
-            quiet
+            latest_time
             if self._full or not self._pending_telemetry
-            else min(quiet, max(self.next_batch_at, self._rest_until))
+            else min(latest_time, max(self.next_batch_at, self._rest_until))
         )
 
     @property
@@ -133,49 +133,49 @@ class EventSubscription:
         """Seconds between a batch of the last known size and the next one."""
         return max(MIN_INTERVAL, self._path.pause(self._size))
 
-    def on_sample(self, values: TelemetrySample, at: float, up: float, stamp: int = 0) -> None:
+    def on_sample(self, values: TelemetrySample, at: float, uptime: float, stamp: int = 0) -> None:
         """Process a telemetry sample with the timestamp `stamp`; changed values are pending from then on."""
-        if self.sample_due is None or up < self.sample_due:
+        if self.sample_due is None or uptime < self.sample_due:
             return
-        self.sample_due = max(self.sample_due + self._every, up)
+        self.sample_due = max(self.sample_due + self._sample_interval, uptime)
         latest = self._event_log.latest
-        for key, (version, what) in values.items():
+        for key, (version, content) in values.items():
             if self._known.get(key) == version:
                 continue
             self._known[key] = version
-            event = stamped_event(latest, at, up, 0, what, stamp)
+            event = stamped_event(latest, at, uptime, 0, content, stamp)
             if key in self._pending_telemetry:
                 self._lost[event.kind] += 1
             self._pending_telemetry[key] = event
 
-    def next_batch(self, at: float, up: float, snapshot: Callable[[], Status]) -> EventBatch | None:
+    def next_batch(self, at: float, uptime: float, snapshot: Callable[[], Status]) -> EventBatch | None:
         """The batch to send now, None for none yet."""
-        if self._is_behind or up < self.due:
+        if self._is_behind or uptime < self.due:
             return None
         if self._acknowledged == self._batch:
             # The wait for the acknowledgement begins here.
-            self._last_ack_at = up
-        after, events, shown = self._after, list[Event](), None
+            self._last_ack_at = uptime
+        after, events, status = self._after, list[Event](), None
         # Even a subscriber that reads slowly receives a batch after a snapshot.
         if self._snapshot or (not self._last_snapshot and self._skip_lost()):
-            shown, self._snapshot, self._last_snapshot = snapshot(), False, True
+            status, self._snapshot, self._last_snapshot = snapshot(), False, True
         else:
-            (after, events), self._last_snapshot = self._next_events(up), False
+            (after, events), self._last_snapshot = self._next_events(uptime), False
         self._batch += 1
-        self._sent[self._batch] = up
+        self._sent[self._batch] = uptime
         if self._is_full:
             self._full, self._is_full = self._batch, False
-        self.next_batch_at = up + self._interval
+        self.next_batch_at = uptime + self._interval
         lost, self._lost = dict(self._lost), Counter()
         return EventBatch(
-            self._incarnation, self._batch, at, up, after, self._event_log.latest, events, lost, shown
+            self._incarnation, self._batch, at, uptime, after, self._event_log.latest, events, lost, status
         )
 
     def on_sending(self, position: int) -> None:
         """The last batch is sent on a link that has carried `position` bytes for subscriptions."""
         self._positions[self._batch] = position
 
-    def final_batch(self, at: float, up: float) -> EventBatch:
+    def final_batch(self, at: float, uptime: float) -> EventBatch:
         """The last batch of a dropped subscription: its losses until now."""
         for event in self._pending_telemetry.values():
             self._lost[event.kind] += 1
@@ -183,7 +183,7 @@ class EventSubscription:
         self._pending_telemetry.clear()
         self._batch += 1
         return EventBatch(
-            self._incarnation, self._batch, at, up, self._after, self._event_log.latest, [], lost
+            self._incarnation, self._batch, at, uptime, self._after, self._event_log.latest, [], lost
         )
 
     def _skip_lost(self) -> bool:
@@ -194,7 +194,7 @@ class EventSubscription:
         self._caught_up_at = self._frequent_after = stream.latest
         return True
 
-    def _next_events(self, up: float) -> tuple[int, list[Event]]:
+    def _next_events(self, uptime: float) -> tuple[int, list[Event]]:
         """The next states, and the number that they follow; telemetry if there is room."""
         stream, before = self._event_log, self._after
         events, size = stream.after(before, MAX_EVENTS, self._limit, self._frequent_after)
@@ -202,7 +202,7 @@ class EventSubscription:
         if missing := self._after - before - len(events):
             self._lost["state"] += missing
         after = events[0].number - 1 if events else self._after
-        if self._after == stream.latest and not self._full and up >= self._rest_until:
+        if self._after == stream.latest and not self._full and uptime >= self._rest_until:
             self._is_full = bool(self._pending_telemetry)
             self._add_telemetry(events, size)
         return after, events

@@ -51,10 +51,10 @@ class HopStep(IntEnum):
 
 
 class MigrationEvents:
-    """Records events of the coordinators of a `team` on its host `here`."""
+    """Records events of the coordinators of a `team` on its host `own_host`."""
 
-    def __init__(self, recorder: EventRecorder, machine: Machine, here: str, team: Team) -> None:
-        self._recorder, self._machine, self._here, self._hosts = recorder, machine, here, team.hosts
+    def __init__(self, recorder: EventRecorder, machine: Machine, own_host: str, team: Team) -> None:
+        self._recorder, self._machine, self._own_host, self._hosts = recorder, machine, own_host, team.hosts
         self._known = frozenset(member.id for member in team.coordinators)
         self._limiter = recorder.new_limiter(MIGRATIONS, MIGRATIONS_UNOBSERVED)
         #: The coordinators that have arrived and do not run yet: sender and header.
@@ -82,21 +82,20 @@ class MigrationEvents:
         called = self._machine.itinerary.current_target(agent) if agent is not None and agent.frozen else None
         return (called[0].id, called[1]) if called is not None else ("", "")
 
-    def _on_sent(self, at: float, to: str, header: Transfer, resource: str, portal: str | int) -> None:
+    def _on_sent(self, at: float, target: str, header: Transfer, resource: str, portal: str | int) -> None:
         """A coordinator is sent; a repetition is not recorded."""
         if not self._limiter.try_acquire("left"):
             return
-        name, away = header.agent, self._in_flight.get(header.agent)
-        if away is not None and (away.generation, away.sequence) == (header.generation, header.sequence):
+        name, hop = header.agent, self._in_flight.get(header.agent)
+        if hop is not None and (hop.generation, hop.sequence) == (header.generation, header.sequence):
             return
         if isinstance(portal, int):
             portal = self._machine.program.core.methods[portal].name
         generation, sequence = header.generation, header.sequence
         portal = truncate(portal, MAX_LABEL)
-        what = events.MigrationStarted(name, generation, sequence, to, resource, portal, header.size)
-        self._in_flight[name] = _InFlight(
-            to, generation, sequence, self._recorder.emit_for_agent(name, what, at=at, stamp=header.stamp), at
-        )
+        event = events.MigrationStarted(name, generation, sequence, target, resource, portal, header.size)
+        number = self._recorder.emit_for_agent(name, event, at=at, stamp=header.stamp)
+        self._in_flight[name] = _InFlight(target, generation, sequence, number, at)
 
     def _on_arrived(self, at: float, host: str, header: Transfer) -> None:
         """A coordinator arrived; whether the coordinator runs is decided later. Unknown coordinators are
@@ -104,34 +103,34 @@ class MigrationEvents:
         """
         if header.agent in self._known:
             self._arriving[header.agent] = host, header
-            if (away := self._in_flight.get(header.agent)) is not None:
-                away.returned_at = at
+            if (hop := self._in_flight.get(header.agent)) is not None:
+                hop.returned_at = at
 
     def _on_running(self, at: float, name: str, generation: int, sequence: int | None, stamp: int) -> None:
         """An arrived coordinator runs here, or a stored one is resumed."""
         arrival = self._arriving.pop(name, None)
         if arrival is None:
             return
-        is_reported, away = self._limiter.try_acquire("came"), self._in_flight.get(name)
-        if not is_reported and away is None:
+        is_reported, hop = self._limiter.try_acquire("came"), self._in_flight.get(name)
+        if not is_reported and hop is None:
             return
         host, header = arrival
         # An earlier arrival that was refused does not belong to this one.
         if (header.generation, header.sequence) != (generation, sequence):
             return
-        if away is not None and away.generation == generation and away.sequence < header.sequence:
+        if hop is not None and hop.generation == generation and hop.sequence < header.sequence:
             # A coordinator that returns at once is its own confirmation: its host sends no other
             # confirmation.
-            self._emit_confirmed(name, away, away.returned_at, at, stamp)
+            self._emit_confirmed(name, hop, hop.returned_at, at, stamp)
         if is_reported:
-            what = events.MigrationArrived(name, generation, header.sequence, host, header.size)
-            self._recorder.emit_for_agent(name, what, cause=0, at=at, stamp=stamp)
+            event = events.MigrationArrived(name, generation, header.sequence, host, header.size)
+            self._recorder.emit_for_agent(name, event, cause=0, at=at, stamp=stamp)
 
     def _on_confirmed(self, at: float, effect: mobile.MarkMigrated, stamp: int) -> None:
         """The sender has the confirmation: recorded only for hops whose departure was recorded."""
-        away = self._in_flight.get(effect.agent)
-        if away is not None and (away.generation, away.sequence) == (effect.generation, effect.sequence):
-            self._emit_confirmed(effect.agent, away, at - effect.held, at, stamp)
+        hop = self._in_flight.get(effect.agent)
+        if hop is not None and (hop.generation, hop.sequence) == (effect.generation, effect.sequence):
+            self._emit_confirmed(effect.agent, hop, at - effect.held, at, stamp)
 
     def _emit_confirmed(
         self, name: str, in_flight: _InFlight, arrived: float, at: float, stamp: int = 0
@@ -139,10 +138,10 @@ class MigrationEvents:
         """A hop that arrived at the time `arrived` was confirmed at the time `at`."""
         del self._in_flight[name]
         seconds = bounded_duration(arrived - in_flight.sent_at) if in_flight.event_number else None
-        what = events.MigrationConfirmed(
+        event = events.MigrationConfirmed(
             name, in_flight.generation, in_flight.sequence, in_flight.to, seconds
         )
-        self._recorder.emit_at(what, at, in_flight.event_number, stamp)
+        self._recorder.emit_at(event, at, in_flight.event_number, stamp)
 
     def restore_in_flight(self, known: CoordinatorState) -> None:
         """A hop that was sent in an earlier incarnation of this host."""
@@ -158,10 +157,10 @@ class MigrationEvents:
         if recovered:
             self._recorder.emit_for_agent(agent.id, events.CoordinatorRecovered(agent.id, agent.generation))
         elif self._limiter.try_acquire("stayed"):
-            to, _, _ = self._call_target(agent)
+            target, _, _ = self._call_target(agent)
             name = agent.id, agent.generation, agent.sequence
             self._recorder.emit_for_agent(
-                agent.id, events.MigrationFailed(*name, to, exception, truncate(reason))
+                agent.id, events.MigrationFailed(*name, target, exception, truncate(reason))
             )
 
     def on_effect(self, effect: mobile.Effect) -> None:
@@ -174,8 +173,8 @@ class MigrationEvents:
                 )
             case mobile.MarkInDoubt():
                 reason = truncate(effect.reason)
-                what = events.MigrationInDoubt(effect.agent, effect.generation, effect.host, reason)
-                self._recorder.emit_for_agent(effect.agent, what)
+                event = events.MigrationInDoubt(effect.agent, effect.generation, effect.host, reason)
+                self._recorder.emit_for_agent(effect.agent, event)
             case mobile.TerminateCopy():
                 agent = self._machine.agents.get(effect.agent)
                 if agent is not None and agent.generation == effect.generation:
@@ -190,14 +189,14 @@ class MigrationEvents:
         """A coordinator has ended on another host: unless the coordinator was lost, the hops that this host
         has sent have arrived there.
         """
-        away = self._in_flight.get(effect.agent)
-        if away is not None and away.generation == effect.generation:
+        hop = self._in_flight.get(effect.agent)
+        if hop is not None and hop.generation == effect.generation:
             if effect.outcome in TERMINATED:
                 now = self._recorder.now()
-                self._emit_confirmed(effect.agent, away, now, now)
+                self._emit_confirmed(effect.agent, hop, now, now)
             else:
                 del self._in_flight[effect.agent]
-        if effect.host == self._here:
+        if effect.host == self._own_host:
             # Each termination is recorded where it happened; a loss is recorded by the host that detects it.
             self._recorder.on_agent_finished(effect.agent, effect.generation, effect.outcome, effect.detail)
 

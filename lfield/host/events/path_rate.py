@@ -43,10 +43,10 @@ class PathRate:
         each = median(self._seconds_per_byte)
         return 1.0 / each if each * FAST_RATE > 1.0 else None
 
-    def batch_limit(self, most: int) -> int:
-        """The largest batch, of at most `most` bytes, after which the longest pause is sufficient."""
+    def batch_limit(self, maximum: int) -> int:
+        """The largest batch, of at most `maximum` bytes, after which the longest pause is sufficient."""
         rate = self.rate
-        return most if rate is None else min(most, max(MIN_BATCH, int(SHARE * rate * MAX_PAUSE)))
+        return maximum if rate is None else min(maximum, max(MIN_BATCH, int(SHARE * rate * MAX_PAUSE)))
 
     def pause(self, size: int) -> float:
         """The pause after a batch of this size that keeps to the share."""

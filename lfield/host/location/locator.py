@@ -30,7 +30,7 @@ class Locator(Part):
         leases: LeaseRules,
         commands: StateObserver,
     ) -> None:
-        self._team, self._leases, self._commands, self._here = team, leases, commands, context.name
+        self._team, self._leases, self._commands, self._own_host = team, leases, commands, context.name
         self._out = context.effects.append
         #: The last answer of each host to a query about all coordinators; see `clear`.
         self.answers: dict[str, Sequence[CoordinatorState]] = {}
@@ -46,7 +46,7 @@ class Locator(Part):
         """
         known = self._team.mobility.known_states()
         named = [row for row in known if row.agent in agents] if agents else known
-        return self._team.write_ahead.durable_states(named, self._here)
+        return self._team.write_ahead.durable_states(named, self._own_host)
 
     def _on_locate(self, host: str, query: Locate) -> None:
         found = self._leases.records(query.agents) if query.leases else []

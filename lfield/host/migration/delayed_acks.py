@@ -61,9 +61,9 @@ class DelayedAcks(Part):
         """A coordinator is sent to a host now, after the acknowledgements for that host."""
         if not self._waiting:
             return
-        mine = self._waiting.pop((header.agent, header.generation), None)
-        if mine is not None and mine[1].host != host:
-            self._send_now(*mine)
+        own_ack = self._waiting.pop((header.agent, header.generation), None)
+        if own_ack is not None and own_ack[1].host != host:
+            self._send_now(*own_ack)
         if self._waiting:
             self.flush(host)
         else:
@@ -85,5 +85,5 @@ class DelayedAcks(Part):
         duration of the hop.
         """
         now = self._now()
-        held, stamp = min(MAX_DURATION, max(0.0, now - due + ACK_DELAY)), self._hybrid_clock.tick(now)
-        self._send(Send(answer.host, structs.replace(answer.message, held=held, stamp=stamp)))
+        hold_time, stamp = min(MAX_DURATION, max(0.0, now - due + ACK_DELAY)), self._hybrid_clock.tick(now)
+        self._send(Send(answer.host, structs.replace(answer.message, held=hold_time, stamp=stamp)))

@@ -56,7 +56,7 @@ class WriteAheadQueue:
     """The waiting records and effects of one host. `first` are written with the first batch."""
 
     def __init__(self, first: Iterable[Record] = ()) -> None:
-        self._records: dict[RecordKey, Record] = {key_of(page): page for page in first}
+        self._records: dict[RecordKey, Record] = {key_of(record): record for record in first}
         #: The records to delete.
         self._deleted: set[RecordKey] = set()
         #: The number of the batch that is being collected.
@@ -94,24 +94,24 @@ class WriteAheadQueue:
         kept.
         """
         if waiting := self._blocked.get(agent):
-            kept = (entry for entry in waiting if _generation(entry[1]) != generation)
-            self._blocked[agent] = deque(kept)
+            effects = (entry for entry in waiting if _generation(entry[1]) != generation)
+            self._blocked[agent] = deque(effects)
 
     def is_pending_durable(self, agent: str) -> bool:
         """Whether an effect of a coordinator waits for the disk."""
         return agent in self._blocked
 
-    def durable_states(self, rows: Iterable[CoordinatorState], here: str) -> list[CoordinatorState]:
-        """The states for other hosts: a start that terminated on this host, `here`, counts as running until
-        the termination is on disk.
+    def durable_states(self, rows: Iterable[CoordinatorState], own_host: str) -> list[CoordinatorState]:
+        """The states for other hosts: a start that terminated on this host, `own_host`, counts as running
+        until the termination is on disk.
 
         After a crash this host would resume the start. If other hosts knew of the termination, a majority
         could have it on disk by then, and it would be final.
         """
-        return [self._durable_state(row, here) for row in rows]
+        return [self._durable_state(row, own_host) for row in rows]
 
-    def _durable_state(self, row: CoordinatorState, here: str) -> CoordinatorState:
-        ended = row.state == "EXITED" and row.where == here and row.outcome in TERMINATED
+    def _durable_state(self, row: CoordinatorState, own_host: str) -> CoordinatorState:
+        ended = row.state == "EXITED" and row.where == own_host and row.outcome in TERMINATED
         if not ended or not self._is_end_pending(row.agent, row.generation):
             return row
         return structs.replace(row, state="RUN", where="", outcome="", detail="")
@@ -121,8 +121,8 @@ class WriteAheadQueue:
         waiting = (
             effect.record for _, effect in self._blocked.get(agent, ()) if isinstance(effect, PersistRecord)
         )
-        pages = (page for page in waiting if isinstance(page, CoordinatorRecord))
-        return any(page.generation == generation and page.state == "EXITED" for page in pages)
+        records = (record for record in waiting if isinstance(record, CoordinatorRecord))
+        return any(record.generation == generation and record.state == "EXITED" for record in records)
 
     def add_record(self, record: Record, now: float, *, is_lazy: bool = False) -> int:
         """Queue a record; returns the number of its batch."""
@@ -147,11 +147,11 @@ class WriteAheadQueue:
         """The next batch, if one is due: its number, records to write, keys to delete."""
         if not self._urgent and (self.due is None or now < self.due):
             return None
-        pages, keys = list(self._records.values()), sorted(self._deleted)
+        records, keys = list(self._records.values()), sorted(self._deleted)
         self._records, self._deleted = {}, set()
         number, self._number = self._number, self._number + 1
         self._urgent, self.due = False, None
-        return number, pages, keys
+        return number, records, keys
 
     def when_durable(self, batch: int, action: Callable[[], None]) -> None:
         """Queue an action until the last added batch is on disk; `run_actions` calls it."""
@@ -192,37 +192,49 @@ class JournalContents:
 
     def __init__(self, records: Iterable[Record], mission: bytes, bundle: bytes = b"") -> None:
         records = list(records)
-        copies = [page for page in records if isinstance(page, CoordinatorRecord)]
+        copies = [record for record in records if isinstance(record, CoordinatorRecord)]
         ended = _outdated_endings(copies)
-        old = {key_of(page) for page in ended}
-        needed = {mission, *(page.program for page in copies)}
-        over = {(page.agent, page.generation) for page in copies if page.state == "EXITED"}
+        deleted_keys = {key_of(record) for record in ended}
+        needed_digests = {mission, *(record.program for record in copies)}
+        ended_starts = {(record.agent, record.generation) for record in copies if record.state == "EXITED"}
         #: Outdated terminations, pending calls of terminated starts, and programs without blocks: to be
         #: deleted.
         self.outdated: list[Record] = [
             *ended,
-            *(p for p in records if isinstance(p, PendingCallRecord) and (p.agent, p.generation) in over),
-            *(page for page in records if isinstance(page, ProgramRecord) and page.digest not in needed),
+            *(
+                p
+                for p in records
+                if isinstance(p, PendingCallRecord) and (p.agent, p.generation) in ended_starts
+            ),
+            *(
+                record
+                for record in records
+                if isinstance(record, ProgramRecord) and record.digest not in needed_digests
+            ),
         ]
         self.copies = [
-            page for page in copies if key_of(page) not in old and (not page.block or page.program == mission)
+            record
+            for record in copies
+            if key_of(record) not in deleted_keys and (not record.block or record.program == mission)
         ]
         #: The records of other programs or deployments.
-        self.parked = [page for page in copies if page.block and page.program != mission]
+        self.parked = [record for record in copies if record.block and record.program != mission]
         #: Whether the program of this mission is recorded.
         self.has_program_record = any(
-            isinstance(page, ProgramRecord) and page.digest == mission for page in records
+            isinstance(record, ProgramRecord) and record.digest == mission for record in records
         )
         #: Whether this host is paused.
-        self.paused = any(page.on for page in records if isinstance(page, PauseFlag))
+        self.paused = any(record.on for record in records if isinstance(record, PauseFlag))
         #: The reason why an emergency stop locks the devices here, '' for none.
-        self.stopped = next((page.reason for page in records if isinstance(page, EmergencyStopFlag)), "")
+        self.stopped = next(
+            (record.reason for record in records if isinstance(record, EmergencyStopFlag)), ""
+        )
         #: The last start that was made here, None if none is recorded.
-        self.last_start = next((page.count for page in records if isinstance(page, StartCounter)), None)
+        self.last_start = next((record.count for record in records if isinstance(record, StartCounter)), None)
         #: Whether the run that was started here continues.
-        self.is_run_open = any(page.open for page in records if isinstance(page, RunMarker))
+        self.is_run_open = any(record.open for record in records if isinstance(record, RunMarker))
         #: The starts that ended before this bundle was started here.
-        self._earlier = {(page.agent, page.generation) for page in copies if page.state == "EXITED"}
+        self._earlier = {(record.agent, record.generation) for record in copies if record.state == "EXITED"}
         if BundleRecord(bundle) in records:
             self._earlier = set()
 
@@ -238,7 +250,7 @@ class JournalContents:
     def restart_blocker(self, agent: str, known: Iterable[CoordinatorState]) -> str:
         """The reason why a coordinator of this host is not started again, '' if it may be."""
         rows = [row for row in known if row.agent == agent]
-        if any(page.agent == agent for page in self.parked):
+        if any(record.agent == agent for record in self.parked):
             return "waits for the program and deployment that it belongs to"
         for row in rows:
             if row.state in ("FROZEN", "PREPARED", "IN DOUBT", "MOVED"):
@@ -255,13 +267,13 @@ class JournalContents:
 def _outdated_endings(copies: Iterable[CoordinatorRecord]) -> list[CoordinatorRecord]:
     """The terminations of each coordinator except the last few."""
     found: dict[str, list[CoordinatorRecord]] = {}
-    for page in copies:
-        if page.state == "EXITED":
-            found.setdefault(page.agent, []).append(page)
+    for record in copies:
+        if record.state == "EXITED":
+            found.setdefault(record.agent, []).append(record)
     return [
-        page
-        for pages in found.values()
-        for page in sorted(pages, key=lambda page: page.generation)[:-MAX_ENDINGS]
+        record
+        for records in found.values()
+        for record in sorted(records, key=lambda record: record.generation)[:-MAX_ENDINGS]
     ]
 
 
@@ -270,8 +282,8 @@ def downtime(times: Mapping[RecordKey, float], clock: Clock, copy: CoordinatorCo
 
     `times` has the Unix time at which each record was written.
     """
-    kept = times.get(RecordKey("copy", copy.agent, copy.generation))
-    return 0.0 if kept is None else max(0.0, clock.time() - kept)
+    written_at = times.get(RecordKey("copy", copy.agent, copy.generation))
+    return 0.0 if written_at is None else max(0.0, clock.time() - written_at)
 
 
 def _generation(effect: Effect) -> int | None:

@@ -57,11 +57,11 @@ class ExecutedOrders:
         still in force.
         """
         found: dict[bytes, tuple[OrderKind, bool]] = {}
-        for page in records:
-            if isinstance(page, EmergencyStopFlag) and page.order:
-                found[page.order] = ("stop", True) if page.reason else ("lift", False)
-            elif isinstance(page, PauseFlag) and page.order:
-                found[page.order] = ("pause", True) if page.on else ("resume", False)
+        for record in records:
+            if isinstance(record, EmergencyStopFlag) and record.order:
+                found[record.order] = ("stop", True) if record.reason else ("lift", False)
+            elif isinstance(record, PauseFlag) and record.order:
+                found[record.order] = ("pause", True) if record.on else ("resume", False)
         return found
 
     def standing_of(self, kind: OrderKind, id: bytes, epoch: bytes) -> OrderStanding:

@@ -83,7 +83,7 @@ class PersonCalls(Part):
         reservations: ReservationRules,
         machine: Machine,
     ) -> None:
-        self._access, self._incarnation, self._here = (
+        self._access, self._incarnation, self._own_host = (
             context.mission.access,
             context.incarnation,
             context.name,
@@ -117,8 +117,9 @@ class PersonCalls(Part):
                 self._out(AnswerPersonCall(known.result))
             return
         if order.incarnation != self._incarnation:
-            why = f"{self._here} has restarted since the first attempt, and may have executed the call before"
-            self._answer(PortalCallResult(order.id, "unknown", "restarted", why))
+            attempt = f"{self._own_host} has restarted since the first attempt"
+            text = f"{attempt}, and may have executed the call before"
+            self._answer(PortalCallResult(order.id, "unknown", "restarted", text))
             return
         reason = self._refusal(order, caller, now)
         if reason is not None and (reason[0] in LASTING or not self._has_space(caller)):
@@ -166,22 +167,22 @@ class PersonCalls(Part):
     ) -> tuple[RefusalCode, str] | None:
         """The reason why a call may not start, by code and sentence."""
         if self._team.is_halted:
-            return "stopping", f"{self._here} is stopping"
+            return "stopping", f"{self._own_host} is stopping"
         member = self._members.get(order.resource)
         if member is None or member.kind != "resource":
             return "no-portal", f"the mission has no resource '{order.resource}'"
-        if order.is_assistant and (why := self._access.assistant_refusal(caller.name)):
-            return "not-permitted", why
-        if why := self._access.person_refusal(caller.name, member, order.portal):
-            return "not-permitted", why
-        if self._hosts[member.host] != self._here:
-            return "no-portal", f"{member.id} is on {self._hosts[member.host]}, not on {self._here}"
+        if order.is_assistant and (reason := self._access.assistant_refusal(caller.name)):
+            return "not-permitted", reason
+        if reason := self._access.person_refusal(caller.name, member, order.portal):
+            return "not-permitted", reason
+        if self._hosts[member.host] != self._own_host:
+            return "no-portal", f"{member.id} is on {self._hosts[member.host]}, not on {self._own_host}"
         if self._team.paused:
             return "paused", "the mission is paused; 'lfield resume' continues it"
         if self._leases.has_to_wait:
-            return "paused", f"{self._here} has no lease: no majority of the members responds"
+            return "paused", f"{self._own_host} has no lease: no majority of the members responds"
         if not self._has_space(caller):
-            return "busy", f"{self._here} has executed very many calls of persons in the last minutes"
+            return "busy", f"{self._own_host} has executed very many calls of persons in the last minutes"
         own = sum(call.caller.label == caller.label for call in self._active.values())
         busy = self._limits.refusal(caller.label, len(self._active), own, now)
         return ("busy", busy) if busy else None
@@ -219,8 +220,8 @@ class PersonCalls(Part):
     def _live_resource(self, member: TeamMember) -> Agent:
         resource = self._machine.agents.get(member.id)
         if resource is None or resource.ended:
-            why = f"it died of {resource.report.splitlines()[0]}" if resource else "it has not started yet"
-            raise Trap("UnreachableResourceException", f"{member.id} is not available: {why}")
+            reason = f"it died of {resource.report.splitlines()[0]}" if resource else "it has not started yet"
+            raise Trap("UnreachableResourceException", f"{member.id} is not available: {reason}")
         return resource
 
     def _poll_waiting(self) -> None:
@@ -241,8 +242,8 @@ class PersonCalls(Part):
             try:
                 value = encode_values([portals.result(pending)], MAX_RESULT)
             except UnsendableValue as error:
-                why = f"the portal has returned, and its result cannot be sent: {error}"
-                self._end(call, "thrown", "LimitException", why)
+                reason = f"the portal has returned, and its result cannot be sent: {error}"
+                self._end(call, "thrown", "LimitException", reason)
             else:
                 self._end(call, "returned", value=value)
         else:
@@ -298,14 +299,14 @@ class PersonCalls(Part):
         self._answer(found)
         self._drop_old_results()
 
-    def _refuse(self, order: PortalCallRequest, caller: PersonCaller, kind: RefusalCode, why: str) -> None:
+    def _refuse(self, order: PortalCallRequest, caller: PersonCaller, kind: RefusalCode, reason: str) -> None:
         """Refuse a call whose id is not kept: the call had no effect."""
-        self._note_refusal(order, caller, why)
-        self._answer(PortalCallResult(order.id, "refused", kind, truncate(why)))
+        self._note_refusal(order, caller, reason)
+        self._answer(PortalCallResult(order.id, "refused", kind, truncate(reason)))
 
-    def _note_refusal(self, order: PortalCallRequest, caller: PersonCaller, why: str) -> None:
+    def _note_refusal(self, order: PortalCallRequest, caller: PersonCaller, reason: str) -> None:
         line = log_messages.PORTAL_CALL_REFUSED.line(
-            caller=caller.label, resource=order.resource, portal=order.portal, reason=why
+            caller=caller.label, resource=order.resource, portal=order.portal, reason=reason
         )
         self._out(WriteLogOnce(line))
 

@@ -54,7 +54,7 @@ def admission_for(
     host: str,
     clock: Clock,
     times: Collection[float],
-    on_verified: OnVerified = lambda certificate, who: None,
+    on_verified: OnVerified = lambda certificate, identity: None,
     signed: Callable[[], float] = lambda: 0.0,
 ) -> tuple[TlsIdentity, CertificateAdmission]:
     """The transport of a host's links, and its admission policy.

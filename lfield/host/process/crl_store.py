@@ -62,9 +62,9 @@ class CrlStore:
         written = b""
         while written != self._data:
             data = self._data
-            why = await asyncio.to_thread(write_crl, self._folders, data)
-            on_stored(why)
-            if why:
+            reason = await asyncio.to_thread(write_crl, self._folders, data)
+            on_stored(reason)
+            if reason:
                 await asyncio.sleep(RETRY_AFTER)
             else:
                 written = data

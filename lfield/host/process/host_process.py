@@ -177,9 +177,9 @@ def _identity(
     signed = partial(signing_time, mission.release, credentials.keys.authority)
     verified = certificates.on_tls_verified
     tls, admission = admission_for(credentials, name, SystemClock(), times, verified, signed)
-    release, doubt = require_signature(mission, credentials, admission, journal.records() if journal else ())
-    if doubt:
-        logbook.note(log_messages.BUNDLE_KEPT.line(bundle=release.short, reason=doubt))
+    release, reason = require_signature(mission, credentials, admission, journal.records() if journal else ())
+    if reason:
+        logbook.note(log_messages.BUNDLE_KEPT.line(bundle=release.short, reason=reason))
     orders = OrderCredentials(OrderSigner(credentials.keys), certificates, credentials.keys.authority)
     address = listen or mission.team.addresses[mission.team.number(name)]
     return _Identity(address, tls, admission, orders), replace(mission, release=release)
@@ -198,7 +198,7 @@ async def run_until_exit(
     ended: a service would begin a new run after a host that was killed in between.
     """
     asyncio.get_running_loop().set_exception_handler(host.on_unhandled)
-    life = asyncio.ensure_future(_run_mission(host, lost_after, started))
+    run = asyncio.ensure_future(_run_mission(host, lost_after, started))
     stopped = asyncio.ensure_future(signals.first_requested.wait())
     failed = asyncio.ensure_future(host.failed.wait())
 
@@ -207,24 +207,24 @@ async def run_until_exit(
             return exit_status.UNSAFE
         if host.failure is not None:
             return host.failure.exit_status
-        if life.cancelled():
+        if run.cancelled():
             # Without --until-done only a stop request ends it.
             return exit_status.DONE if lost_after is None else exit_status.INTERRUPTED
-        return life.result()
+        return run.result()
 
     def on_rest(unsafe: dict[str, str]) -> None:
-        if unsafe or host.failure is not None or life.cancelled() or life.exception() is None:
+        if unsafe or host.failure is not None or run.cancelled() or run.exception() is None:
             ended(status(unsafe))
 
     try:
-        await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait([run, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
     finally:
-        for task in (life, stopped, failed):
+        for task in (run, stopped, failed):
             task.cancel()
-        await asyncio.gather(life, stopped, failed, return_exceptions=True)
+        await asyncio.gather(run, stopped, failed, return_exceptions=True)
         unsafe = await _stop(host, signals, on_rest)
     if unsafe:
-        _log_other_failures(life, host)
+        _log_other_failures(run, host)
     return status(unsafe)
 
 
@@ -252,9 +252,9 @@ async def _stop(
         report.cancel()
 
 
-def _log_other_failures(life: asyncio.Future[int], host: Host) -> None:
+def _log_other_failures(run: asyncio.Future[int], host: Host) -> None:
     """Log other failures when the exit status says that a device is not safe."""
-    if not life.cancelled() and (error := life.exception()) is not None:
+    if not run.cancelled() and (error := run.exception()) is not None:
         host.note(log_messages.HOST_ENDING_ERROR.line(host=host.name, reason=error))
 
 
@@ -271,21 +271,21 @@ async def _run_mission(host: Host, lost_after: float | None, started: Callable[[
     if lost_after is None:
         await _wait_forever()
     return exit_status.most_severe(
-        _outcome_status(host, fate) for fate in await wait_until_done(host, lost_after)
+        _outcome_status(host, outcome) for outcome in await wait_until_done(host, lost_after)
     )
 
 
-def _outcome_status(host: Host, fate: CoordinatorOutcome) -> int:
+def _outcome_status(host: Host, outcome: CoordinatorOutcome) -> int:
     """The exit status for an outcome; the log has the outcomes that other hosts could not report."""
-    match fate.outcome:
+    match outcome.outcome:
         case "done":
             return exit_status.DONE
         case "unheard":
-            host.note(log_messages.AGENT_UNREACHABLE.line(agent=fate.agent, reason=fate.detail))
+            host.note(log_messages.AGENT_UNREACHABLE.line(agent=outcome.agent, reason=outcome.detail))
             return exit_status.UNKNOWN_OUTCOME
         case "lost":
-            host.note(log_messages.AGENT_LOST.line(agent=fate.agent, reason=fate.detail))
-        case "died" if host.broken_agents.get(fate.agent):
+            host.note(log_messages.AGENT_LOST.line(agent=outcome.agent, reason=outcome.detail))
+        case "died" if host.broken_agents.get(outcome.agent):
             return exit_status.SOFTWARE
     return exit_status.FAILED
 

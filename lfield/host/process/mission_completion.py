@@ -56,10 +56,10 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
     while True:
         host.changed.clear()
         found = local_outcomes(homes, host.mobility.known_states(), host.mobility.proven_losses(since))
-        whole = membership.is_fully_connected(host.clock.monotonic())
-        if whole:
+        is_connected = membership.is_fully_connected(host.clock.monotonic())
+        if is_connected:
             host.apply(ContactRestored())
-        if homes.keys() - found.keys() and (membership.ended or not whole or host.mobility.has_losses):
+        if homes.keys() - found.keys() and (membership.ended or not is_connected or host.mobility.has_losses):
             records = await _query_states(host)
             now = host.clock.monotonic()
             found = judge.resolve(
@@ -69,7 +69,7 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
                 homes, host.mobility.known_states(), host.mobility.proven_losses(now - STATUS_MAX_AGE)
             )
         unstartable = host.core.startup.unstartable(membership.ended)
-        found |= {agent: CoordinatorOutcome(agent, "lost", why) for agent, why in unstartable.items()}
+        found |= {agent: CoordinatorOutcome(agent, "lost", reason) for agent, reason in unstartable.items()}
         for agent in remembered.pending_agents() | failovers.pending_agents(found):
             found.pop(agent, None)
         if not homes.keys() - found.keys() and not await started.find_more():
@@ -137,8 +137,8 @@ class _PendingRestarts:
             newest[row.agent] = max(newest.get(row.agent, 0), row.generation)
             if row.state != "EXITED":
                 self._new_starts.add(start)
-        old = {agent for agent, _ in newest.items() - self._new_starts}
-        return {agent for agent in old if not self._is_settled(self._homes[agent])}
+        old_agents = {agent for agent, _ in newest.items() - self._new_starts}
+        return {agent for agent in old_agents if not self._is_settled(self._homes[agent])}
 
     def _is_settled(self, home: str) -> bool:
         """Whether this host is a home that has started its coordinators, or a home is unreachable."""
@@ -160,7 +160,7 @@ class _PendingFailovers:
     def pending_agents(self, found: Mapping[str, CoordinatorOutcome]) -> set[str]:
         """The coordinators of unknown outcome whose failover may still be under way."""
         leases, now = self._host.core.leases, self._host.clock.monotonic()
-        unknown = {agent for agent, fate in found.items() if fate.outcome == "unheard"}
+        unknown = {agent for agent, outcome in found.items() if outcome.outcome == "unheard"}
         self._since = {agent: self._since.get(agent, now) for agent in unknown & set(leases.leased_agents)}
         if not leases.remaining:
             return set()
@@ -239,16 +239,16 @@ async def _query_states(host: Host) -> Mapping[str, Sequence[CoordinatorState]]:
 
 async def _query(host: Host, others: Collection[str]) -> None:
     """Query some hosts, and wait for the answers of those that are linked or being dialled."""
-    asked: set[str] = set()
+    queried_hosts: set[str] = set()
     for other in others:
         host.peers.require_link(other)
     end = host.clock.monotonic() + ANSWER_WITHIN
     while True:
         host.changed.clear()
         linked = {other for other in others if other in host.peers.incarnations}
-        for other in sorted(linked - asked):
+        for other in sorted(linked - queried_hosts):
             host.peers.send(other, Locate())
-        asked |= linked
+        queried_hosts |= linked
         waited_for = {other for other in others if other in linked or host.peers.is_new(other)}
         if waited_for <= host.core.locator.answers.keys() or host.clock.monotonic() >= end:
             return

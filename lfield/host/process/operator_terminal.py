@@ -35,11 +35,11 @@ class LineSplitter:
 
     def feed(self, data: bytes) -> None:
         """More bytes of the stream."""
-        *ended, rest = data.split(b"\n")
+        *ended, incomplete = data.split(b"\n")
         for part in ended:
             self._append(part)
             self._end()
-        self._append(rest)
+        self._append(incomplete)
 
     def close(self) -> None:
         """The stream has ended; its last line may lack a newline."""

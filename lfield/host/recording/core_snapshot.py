@@ -67,8 +67,8 @@ class CoreSnapshots:
             parts = [each for each in self._skeleton if not isinstance(each, _STATELESS)]
             # Containers last: the hashes of their elements must be final.
             rows = [row for row in zip(parts, states, strict=True) if row[1] is not None]
-            for made, state in sorted(rows, key=lambda row: isinstance(row[0], (dict, set))):
-                reader.set_state(made, state)
+            for item, state in sorted(rows, key=lambda row: isinstance(row[0], (dict, set))):
+                reader.set_state(item, state)
             self._core.context.rng.setstate((version, tuple(numbers), gauss))
         except (
             msgspec.DecodeError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,

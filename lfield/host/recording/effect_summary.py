@@ -54,8 +54,8 @@ def _unstamped(message: Any) -> object:
 
 def _device_call(effect: host_effects.CallDevice) -> list[object]:
     call = effect.call
-    what = [call.field, call.instruction, effect.values]
-    return [effect.agent.id, effect.thread, *what, effect.until, effect.number]
+    command = [call.field, call.instruction, effect.values]
+    return [effect.agent.id, effect.thread, *command, effect.until, effect.number]
 
 
 _FIELDS: dict[type[Any], Callable[[Any], list[object]]] = {

@@ -184,13 +184,13 @@ class FlightRecorder:
         changes = wall, clock, answers, readings, drawn, cuts, summary, digests, runs, times
         return TurnRecord(at, entry, *changes)  # type: ignore[arg-type]
 
-    def note_event(self, what: StateEvent) -> None:
+    def note_event(self, event: StateEvent) -> None:
         """The shell has made an event; a replay itself makes the log lines that are effects."""
         self.complete_turn()
-        if isinstance(what, LineLogged) and what.text in self._written:
-            self._written.remove(what.text)
+        if isinstance(event, LineLogged) and event.text in self._written:
+            self._written.remove(event.text)
             return
-        self._add(ShellEventRecord(self._clock.now(), what))
+        self._add(ShellEventRecord(self._clock.now(), event))
 
     def _add(self, record: HostRecord) -> None:
         if not self._buffer.records:

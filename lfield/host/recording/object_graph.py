@@ -39,44 +39,44 @@ _MAX_BLOCKS = 1 << 31
 
 def is_instance(value: object) -> bool:
     """Whether `value` is an object of a class of lfield, whose attributes are its state."""
-    made = type(value)
-    return made.__module__.startswith(_OURS) and not isinstance(value, (type, Enum, tuple, str, dict))
+    cls = type(value)
+    return cls.__module__.startswith(_OURS) and not isinstance(value, (type, Enum, tuple, str, dict))
 
 
 def is_container(value: object) -> bool:
     """Whether `value` is a container that is encoded by its elements."""
     make = _CONTAINERS.get(type(value).__name__)
-    if make is None or type(made := make()) is not type(value):
+    if make is None or type(default := make()) is not type(value):
         return False
     return all(
-        getattr(value, name, None) is getattr(made, name, None) for name in ("maxlen", "default_factory")
+        getattr(value, name, None) is getattr(default, name, None) for name in ("maxlen", "default_factory")
     )
 
 
 def is_frozen(value: object) -> bool:
     """Whether the attributes of an instance cannot change."""
-    made: Any = type(value)
+    cls: Any = type(value)
     if isinstance(value, msgspec.Struct):
-        return bool(made.__struct_config__.frozen)
-    parameters = getattr(made, "__dataclass_params__", None)
+        return bool(cls.__struct_config__.frozen)
+    parameters = getattr(cls, "__dataclass_params__", None)
     return parameters is not None and parameters.frozen
 
 
 def attributes(value: object) -> Iterator[tuple[str, object]]:
     """The attributes of an instance by name, without cached ones."""
-    made = type(value)
+    cls = type(value)
     names: set[str] = set(getattr(value, "__dict__", ()))
-    for base in made.__mro__:
+    for base in cls.__mro__:
         slots = base.__dict__.get("__slots__", ())
         names.update((slots,) if isinstance(slots, str) else slots)
-    names.update(getattr(made, "__struct_fields__", ()))
+    names.update(getattr(cls, "__struct_fields__", ()))
     if isinstance(value, BaseException):
         names.add("args")
     for name in sorted(names):
         # Other attributes, such as __orig_class__, are set by `typing`.
         if name.startswith("__"):
             continue
-        if not isinstance(getattr(made, name, None), cached_property) and hasattr(value, name):
+        if not isinstance(getattr(cls, name, None), cached_property) and hasattr(value, name):
             yield name, getattr(value, name)
 
 
@@ -150,27 +150,27 @@ class GraphWriter:
         A function that shadows a method of the class, such as that of a simulation that observes the calls,
         is omitted: the restored object has the method. Raises RecordingError for any other new function.
         """
-        made = type(value)
+        cls = type(value)
         for name, each in attributes(value):
             if not isinstance(each, FunctionType) or id(each) in self._known:
                 yield name, each
-            elif not isinstance(getattr(made, name, None), FunctionType):
-                raise RecordingError(f"a checkpoint cannot contain the function {made.__name__}.{name}")
+            elif not isinstance(getattr(cls, name, None), FunctionType):
+                raise RecordingError(f"a checkpoint cannot contain the function {cls.__name__}.{name}")
 
     def objects(self) -> list[Any]:
         """All objects that were encoded and are not known."""
-        made: list[Any] = []
+        rows: list[Any] = []
         for each in self._found:
-            made.append(self._object(each))
-        return made
+            rows.append(self._object(each))
+        return rows
 
     def _object(self, value: object) -> list[Any]:
         if isinstance(value, Block):
             return self._block(value)
         if is_container(value):
             return [type(value).__name__, self.state_of(value)]
-        made: Any = type(value)
-        return ["instance", require_instantiable(made), self._state(value)]
+        cls: Any = type(value)
+        return ["instance", require_instantiable(cls), self._state(value)]
 
     def _block(self, block: Block) -> list[Any]:
         capacity = len(block.w)
@@ -191,8 +191,8 @@ class GraphWriter:
         if isinstance(value, Enum):
             return ["enum", reference_to(type(value)), _member_name(value)]
         if isinstance(value, (tuple, frozenset)):
-            made: Any = type(value)
-            kind = made.__name__ if made in (tuple, frozenset) else reference_to(made)
+            cls: Any = type(value)
+            kind = cls.__name__ if cls in (tuple, frozenset) else reference_to(cls)
             return ["tuple", kind, [self.encode(each) for each in value]]
         if isinstance(value, Reading):
             return ["reading", self._number_of(value)]
@@ -248,12 +248,12 @@ class GraphReader:
         self._objects = [self._shell(each) for each in objects]
         for place, row in enumerate(objects):
             if row[0] == "instance":
-                made = self._object(place)
-                if not isinstance(made, msgspec.Struct):
-                    self.set_state(made, row[2])
-        for made, row in zip(self._objects, objects, strict=True):
+                item = self._object(place)
+                if not isinstance(item, msgspec.Struct):
+                    self.set_state(item, row[2])
+        for item, row in zip(self._objects, objects, strict=True):
             if row[0] not in ("instance", "block"):
-                self.set_state(made, row[1])
+                self.set_state(item, row[1])
 
     def _object(self, place: int) -> Any:
         """An object; a struct is created here, from its fields."""
@@ -272,8 +272,8 @@ class GraphReader:
             case "block":
                 return self._block(*row[1:])
             case "instance":
-                made: Any = class_named(row[1])
-                return None if issubclass(made, msgspec.Struct) else new_instance(made)
+                cls: Any = class_named(row[1])
+                return None if issubclass(cls, msgspec.Struct) else new_instance(cls)
             case str(kind) if kind in _CONTAINERS:
                 return _CONTAINERS[kind]()
         raise RecordingError(f"a checkpoint has an object of an unknown kind: {row[0]}")
@@ -286,34 +286,34 @@ class GraphReader:
         buffer[: len(data)] = data
         return Block(buffer, len(data) // 8, limit, self._space, packed=packed)
 
-    def set_state(self, made: Any, state: list[Any]) -> None:
+    def set_state(self, item: Any, state: list[Any]) -> None:
         """Set the state of an object, in place."""
-        if isinstance(made, dict):
+        if isinstance(item, dict):
             items = [self.decode(each) for each in state]
-            made.clear()
+            item.clear()
             # Not `update`, which counts the items of a Counter.
             for name, value in zip(items[::2], items[1::2], strict=True):
-                made[name] = value
-        elif isinstance(made, set):
-            made.clear()
-            made.update(self.decode(each) for each in state)
-        elif isinstance(made, (list, deque)):
+                item[name] = value
+        elif isinstance(item, set):
+            item.clear()
+            item.update(self.decode(each) for each in state)
+        elif isinstance(item, (list, deque)):
             values = [self.decode(each) for each in state]
-            made.clear()
-            made.extend(values)
+            item.clear()
+            item.extend(values)
         else:
-            self._set_attributes(made, state)
+            self._set_attributes(item, state)
 
-    def _set_attributes(self, made: Any, state: list[Any]) -> None:
+    def _set_attributes(self, item: Any, state: list[Any]) -> None:
         names = state[::2]
-        setter = force_setattr if isinstance(made, msgspec.Struct) else object.__setattr__
-        for name, _ in list(attributes(made)):
+        setter = force_setattr if isinstance(item, msgspec.Struct) else object.__setattr__
+        for name, _ in list(attributes(item)):
             if name not in names:
-                object.__delattr__(made, name)
+                object.__delattr__(item, name)
         for name, value in zip(names, state[1::2], strict=True):
             if name.startswith("__"):
                 raise RecordingError(f"a checkpoint sets an attribute that is no state: {name}")
-            setter(made, name, self.decode(value))
+            setter(item, name, self.decode(value))
 
     def decode(self, value: Any) -> Any:
         """A value from plain data. Raises RecordingError."""
@@ -353,10 +353,10 @@ class GraphReader:
         return tuple(items) if kind == "tuple" else tuple.__new__(class_named(kind), items)
 
     def _text(self, kind: str, text: str, state: list[Any]) -> str:
-        made = class_named(kind)
-        if not issubclass(made, str):
+        cls = class_named(kind)
+        if not issubclass(cls, str):
             raise RecordingError(f"a checkpoint names a class that is no text: {kind}")
-        found = str.__new__(made, text)
+        found = str.__new__(cls, text)
         self._set_attributes(found, state)
         return found
 

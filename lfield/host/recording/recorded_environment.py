@@ -61,7 +61,7 @@ class RecordedEnvironment:
         self._inner, self._calls, self._turns = inner, calls, turns
         #: The last answer to each question, and the questions of this turn.
         self._known: dict[tuple[str | int, ...], object] = {}
-        self._asked: set[tuple[str | int, ...]] = set()
+        self._repeated_keys: set[tuple[str | int, ...]] = set()
         #: The time of the last message from each host: the answers of this turn, and the last ones.
         self._contacts: dict[str, float | None] = {}
         self._known_contacts: dict[str, float | None] = {}
@@ -77,7 +77,7 @@ class RecordedEnvironment:
     def start(self) -> None:
         """The recording begins: the core has asked no question before."""
         self._known.clear()
-        self._asked.clear()
+        self._repeated_keys.clear()
         self._contacts.clear()
         self._changes.clear()
 
@@ -93,8 +93,8 @@ class RecordedEnvironment:
 
     def drain_answers(self) -> list[RecordedAnswer]:
         """A turn has ended: its new answers."""
-        if self._asked:
-            self._asked.clear()
+        if self._repeated_keys:
+            self._repeated_keys.clear()
         changes = self._changes
         if self._contacts:
             for host, found in self._contacts.items():
@@ -169,7 +169,7 @@ class RecordedEnvironment:
     def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:
         """See `Environment`. Raises DeviceError."""
         key = Question.QUERY, agent, self._calls[call]
-        if self._turns.in_turn and key in self._asked:
+        if self._turns.in_turn and key in self._repeated_keys:
             known = self._known[key]
             if isinstance(known, DeviceError):
                 raise DeviceError(known.device, known.reason, kind=known.kind)
@@ -208,9 +208,9 @@ class RecordedEnvironment:
     def _note(self, key: tuple[str | int, ...], value: T) -> T:
         if not self._turns.in_turn:
             return value
-        if key in self._asked:
+        if key in self._repeated_keys:
             return cast(T, self._known[key])
-        self._asked.add(key)
+        self._repeated_keys.add(key)
         known = self._known.get(key, _UNASKED)
         if known is _UNASKED or not _is_same(known, value):
             self._known[key] = value

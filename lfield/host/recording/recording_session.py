@@ -58,7 +58,7 @@ def replayed_form(mission: Mission) -> Mission:
         raise RecordingError(f"its bundle cannot be read again: {error}") from None
 
 
-def _bundle_of(mission: Mission) -> bytes:
+def _encoded_bundle(mission: Mission) -> bytes:
     """The bundle of the mission as it runs, with its signature if the signature is of the same bytes.
 
     Other bindings, such as those of simulated devices, and other addresses make another bundle.
@@ -128,7 +128,7 @@ class RecordingSession:
     def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
-        bundle, wall_time = _bundle_of(self._mission), clock.time()
+        bundle, wall_time = _encoded_bundle(self._mission), clock.time()
         start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
         at = core.name, core.incarnation, wall_time
@@ -137,8 +137,8 @@ class RecordingSession:
         except LfieldError as error:
             self._on_failure(str(error))
             return
-        given = self._environment, start, sink, self._drawn, self._on_pending
-        self.flight = FlightRecorder(core, clock, *given)
+        arguments = self._environment, start, sink, self._drawn, self._on_pending
+        self.flight = FlightRecorder(core, clock, *arguments)
         core.recorder.watch_shell(self._note_event)
 
     def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
@@ -158,9 +158,9 @@ class RecordingSession:
         if self.run.on_hello(run) and self.flight is not None:
             self.flight.note_run(self.run.id)
 
-    def _note_event(self, what: StateEvent) -> None:
+    def _note_event(self, event: StateEvent) -> None:
         if self.flight is not None:
-            self.flight.note_event(what)
+            self.flight.note_event(event)
 
     def for_guards(self) -> GuardRecording:
         """The recording of the guards of this host."""

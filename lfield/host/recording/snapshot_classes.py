@@ -48,32 +48,32 @@ def _module(name: str) -> object:
 
 
 @lru_cache(maxsize=1024)
-def reference_to(made: type) -> str:
+def reference_to(cls: type) -> str:
     """The name of a class, as of `class_named`. Raises RecordingError for a class that cannot be found by
     this name.
     """
-    name = f"{made.__module__}:{made.__qualname__}"
+    name = f"{cls.__module__}:{cls.__qualname__}"
     try:
         found = class_named(name)
     except RecordingError:
         found = None
-    if found is not made:
+    if found is not cls:
         raise RecordingError(f"a checkpoint cannot contain an object of {name}")
     return name
 
 
 @lru_cache(maxsize=1024)
-def require_instantiable(made: type) -> str:
+def require_instantiable(cls: type) -> str:
     """The name of a class whose instances can be restored. Raises RecordingError."""
-    name = reference_to(made)
-    if not issubclass(made, msgspec.Struct):
+    name = reference_to(cls)
+    if not issubclass(cls, msgspec.Struct):
         try:
-            new_instance(made)
+            new_instance(cls)
         except TypeError as error:
             raise RecordingError(f"a checkpoint cannot contain an object of {name}: {error}") from None
     return name
 
 
-def new_instance(made: Any) -> Any:
+def new_instance(cls: Any) -> Any:
     """An instance without a state; the constructor is not called."""
-    return made.__new__(made) if issubclass(made, BaseException) else object.__new__(made)
+    return cls.__new__(cls) if issubclass(cls, BaseException) else object.__new__(cls)

@@ -43,16 +43,17 @@ class SequencingService(Part):
         self, context: HostContext, team: CoordinatorOperations, leases: LeaseRules, machine: Machine
     ) -> None:
         self._team, self._leases, self._machine = team, leases, machine
-        self._hosts, self._homes, self._here = context.team.hosts, context.team.homes, context.name
+        self._hosts, self._homes, self._own_host = context.team.hosts, context.team.homes, context.name
         self._out, self._log, self._clock = context.effects.append, context.log, context.clock
         self._has_journal, mission = context.has_journal, context.mission
         self._access, self._without = mission.access, mission.bindings.start.without
-        pages = {page.agent: page for page in context.records if isinstance(page, SequenceRecord)}
+        records = (record for record in context.records if isinstance(record, SequenceRecord))
+        record_by_agent = {record.agent: record for record in records}
         others = [host for host in self._hosts if host != context.name]
         #: The startable coordinators of this host.
         self._runs = {
-            member.id: StartableRuns(member.id, others, pages.get(member.id))
-            for member in context.team.members_on(context.here)
+            member.id: StartableRuns(member.id, others, record_by_agent.get(member.id))
+            for member in context.team.members_on(context.own_number)
             if member.is_startable
         }
         self.is_polled = bool(self._runs)
@@ -77,8 +78,8 @@ class SequencingService(Part):
     @property
     def needed_hosts(self) -> set[str]:
         """The hosts whose reports a start waits for, and all hosts while an end is ordered."""
-        if any(runs.page.stopping for runs in self._runs.values()):
-            return {*self._hosts} - {self._here}
+        if any(runs.record.stopping for runs in self._runs.values()):
+            return {*self._hosts} - {self._own_host}
         return {host for waiter in self._waiting.values() for host in self._runs[waiter.about].missing}
 
     @property
@@ -147,10 +148,10 @@ class SequencingService(Part):
         if not self._may_start(runs):
             self._waiting[asking.id] = _Waiter(asking, member.id, "start")
             return None
-        page = runs.next_page(self._known, self._leases.quorum.fences.token_of(member.id), request)
-        line = log_messages.SEQUENCE_STARTED.line(agent=member.id, by=asking.id, generation=page.generation)
-        self._write(asking, runs, page, line)
-        self._team.apply_effects(self._team.mobility.start(member.id, page.generation))
+        record = runs.next_record(self._known, self._leases.quorum.fences.token_of(member.id), request)
+        line = log_messages.SEQUENCE_STARTED.line(agent=member.id, by=asking.id, generation=record.generation)
+        self._write(asking, runs, record, line)
+        self._team.apply_effects(self._team.mobility.start(member.id, record.generation))
         return self._when_written(asking, member)
 
     def has_started(self, member: TeamMember, request: int) -> bool:
@@ -164,10 +165,10 @@ class SequencingService(Part):
         self._require_other(asking, member, "stop")
         if not runs.where(self._known):
             return True
-        if not runs.page.stopping:
-            page = SequenceRecord(member.id, runs.page.generation, runs.page.request, asking.id)
+        if not runs.record.stopping:
+            record = SequenceRecord(member.id, runs.record.generation, runs.record.request, asking.id)
             line = log_messages.SEQUENCE_STOPPING.line(agent=member.id, by=asking.id)
-            self._write(asking, runs, page, line)
+            self._write(asking, runs, record, line)
             self._repeat_at = 0.0
         return self._when_written(asking, member)
 
@@ -207,30 +208,30 @@ class SequencingService(Part):
         return True
 
     def _require_right(self, asking: Agent, member: TeamMember, function: str) -> None:
-        if why := self._access.refusal(asking.member, member, function):
-            self._refuse(asking, function, "AccessException", why)
+        if reason := self._access.refusal(asking.member, member, function):
+            self._refuse(asking, function, "AccessException", reason)
 
     def _require_other(self, asking: Agent, member: TeamMember, function: str) -> None:
         if asking.id == member.id:
-            why = f"{asking.id} cannot wait for its own end; it ends when its init returns"
-            self._refuse(asking, function, "ConstraintException", why)
+            reason = f"{asking.id} cannot wait for its own end; it ends when its init returns"
+            self._refuse(asking, function, "ConstraintException", reason)
 
-    def _refuse(self, asking: Agent, function: str, kind: str, why: str) -> NoReturn:
-        self._log(log_messages.SEQUENCE_REFUSED.line(agent=asking.id, function=function, reason=why))
-        raise Trap(kind, why)
+    def _refuse(self, asking: Agent, function: str, kind: str, reason: str) -> NoReturn:
+        self._log(log_messages.SEQUENCE_REFUSED.line(agent=asking.id, function=function, reason=reason))
+        raise Trap(kind, reason)
 
     # --- records --------------------------------------------------------------------------------------
 
-    def _write(self, asking: Agent, runs: StartableRuns, page: SequenceRecord, line: LogLine) -> None:
+    def _write(self, asking: Agent, runs: StartableRuns, record: SequenceRecord, line: LogLine) -> None:
         """Record a request, and log it when it is on disk; records of the same turn are in the same batch."""
-        if self._team.write_trouble:
-            reason = f"{self._here} cannot write its journal: {self._team.write_trouble}"
+        if self._team.write_problem:
+            reason = f"{self._own_host} cannot write its journal: {self._team.write_problem}"
             self._refuse(asking, runs.agent, "LimitException", reason)
-        runs.on_recorded(page)
+        runs.on_recorded(record)
         if not self._has_journal:
             self._log(line)
             return
-        batch = self._team.write_ahead.add_record(page, self._clock.monotonic())
+        batch = self._team.write_ahead.add_record(record, self._clock.monotonic())
         self._batches[runs.agent] = batch
         self._team.write_ahead.when_durable(batch, partial(self._log, line))
 
@@ -247,18 +248,18 @@ class SequencingService(Part):
 
     def _repeat_orders(self, now: float) -> None:
         """Order the ends of coordinators on all hosts, until the ends are known."""
-        stopping = [runs for runs in self._runs.values() if runs.page.stopping]
+        stopping = [runs for runs in self._runs.values() if runs.record.stopping]
         if not stopping:
             return
         known = self._known
         for runs in stopping:
-            page = runs.page
+            record = runs.record
             if not runs.where(known):
-                runs.on_recorded(SequenceRecord(page.agent, page.generation, page.request))
+                runs.on_recorded(SequenceRecord(record.agent, record.generation, record.request))
                 if self._has_journal:
-                    self._team.write_ahead.add_record(runs.page, now, is_lazy=True)
-            elif now >= self._repeat_at and self._is_written(page.agent):
-                order = StopCoordinator(page.agent, page.generation, page.stopping)
+                    self._team.write_ahead.add_record(runs.record, now, is_lazy=True)
+            elif now >= self._repeat_at and self._is_written(record.agent):
+                order = StopCoordinator(record.agent, record.generation, record.stopping)
                 for host in self._team.mobility.state_ids:
                     self._out(Send(host, order))
                 self._stop_here(order)

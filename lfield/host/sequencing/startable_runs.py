@@ -20,21 +20,21 @@ NEVER_STARTED = "not started"
 
 
 class StartableRuns:
-    """The runs of one coordinator. `others` are the other hosts of the team, `page` its record, if there is
-    one."""
+    """The runs of one coordinator. `others` are the other hosts of the team, `record` is its record, if
+    there is one."""
 
-    def __init__(self, agent: str, others: Collection[str], page: SequenceRecord | None) -> None:
+    def __init__(self, agent: str, others: Collection[str], record: SequenceRecord | None) -> None:
         self.agent = agent
         #: The last start by this host, the request for it, and whether its end is ordered.
-        self.page = page or SequenceRecord(agent)
+        self.record = record or SequenceRecord(agent)
         #: Whether a host reports the coordinator alive, and which hosts have not reported.
         self.gate = StartGate([agent], others)
-        self._is_recorded = page is not None
+        self._is_recorded = record is not None
 
     def open(self, *, is_known: bool, without: Collection[str]) -> None:
         """The other hosts had time to report; `is_known`: this host would have a record of a start."""
         self.gate.exclude(without)
-        self.gate.open(self.page.generation if self._is_recorded else 0 if is_known else None, first=False)
+        self.gate.open(self.record.generation if self._is_recorded else 0 if is_known else None, first=False)
 
     @property
     def missing(self) -> Sequence[str]:
@@ -43,17 +43,17 @@ class StartableRuns:
 
     def started_by(self, request: int) -> bool:
         """Whether the last start was made for this request."""
-        return self._is_recorded and self.page.request == request
+        return self._is_recorded and self.record.request == request
 
-    def next_page(self, known: Iterable[CoordinatorState], fence: int, request: int) -> SequenceRecord:
+    def next_record(self, known: Iterable[CoordinatorState], fence: int, request: int) -> SequenceRecord:
         """The record of the next start, for a request; its number is above every known one."""
         self.gate.on_generations(known)
-        self.gate.require_above(max(fence, self.page.generation))
+        self.gate.require_above(max(fence, self.record.generation))
         return SequenceRecord(self.agent, next_start(self.gate.newest), request)
 
-    def on_recorded(self, page: SequenceRecord) -> None:
-        """The record `page` is written."""
-        self.page, self._is_recorded = page, True
+    def on_recorded(self, record: SequenceRecord) -> None:
+        """The record is written."""
+        self.record, self._is_recorded = record, True
 
     # --- the last run ---------------------------------------------------------------------------------
 
@@ -73,7 +73,7 @@ class StartableRuns:
     def outcome(self, known: Sequence[CoordinatorState]) -> str:
         """The outcome of the last run: done, stopped, failed or lost, with the reason."""
         last = self._last(known)
-        if last is None or not (self.page.generation or last.generation):
+        if last is None or not (self.record.generation or last.generation):
             return NEVER_STARTED
         reason = next(iter(last.detail.splitlines()), "")
         if last.outcome == "done":

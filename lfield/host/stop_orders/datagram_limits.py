@@ -70,7 +70,7 @@ class DatagramLimits:
     def __init__(self) -> None:
         self._decodes, self._address_decodes = _Buckets(DECODES), _Buckets(ADDRESS_DECODES)
         self._senders, self._networks = _Buckets(SENDER), _Buckets(ADDRESS)
-        self._strangers = {True: _Buckets(KNOWN), False: _Buckets(UNKNOWN)}
+        self._buckets_of_all = {True: _Buckets(KNOWN), False: _Buckets(UNKNOWN)}
         self._checks = _Buckets(PROVEN)
         self._proven: OrderedDict[tuple[Sender, bytes], None] = OrderedDict()
 
@@ -91,8 +91,8 @@ class DatagramLimits:
         if pair in self._proven:
             budgets: list[tuple[_Buckets, Hashable]] = [(self._checks, pair)]
         else:
-            strangers = self._strangers[is_known]
-            budgets = [(self._senders, sender), (self._networks, sender.network), (strangers, None)]
+            buckets_of_all = self._buckets_of_all[is_known]
+            budgets = [(self._senders, sender), (self._networks, sender.network), (buckets_of_all, None)]
         if any(buckets.level(key, now) < 1.0 for buckets, key in budgets):
             return False
         for buckets, key in budgets:

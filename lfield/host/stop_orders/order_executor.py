@@ -119,37 +119,37 @@ class OrderExecutor:
                     self._newer_order_text(message) if stopped else "",
                 )
             case "old" if message.lift:
-                why = self._newer_order_text(message)
-                self._note(log_messages.ORDER_DENIED.line(operator=sender, reason=why))
-                self._answer(message, answer, self._all_devices(why), why)
+                reason = self._newer_order_text(message)
+                self._note(log_messages.ORDER_DENIED.line(operator=sender, reason=reason))
+                self._answer(message, answer, self._all_devices(reason), reason)
             case _:
                 answer(OrderChallenge(message.id, orders.epochs))
 
-    async def _execute(self, message: EmergencyStop | Pause, who: str, answer: OrderCallback) -> None:
+    async def _execute(self, message: EmergencyStop | Pause, operator: str, answer: OrderCallback) -> None:
         if isinstance(message, EmergencyStop):
-            await self._emergency_stop(message, who, answer)
+            await self._emergency_stop(message, operator, answer)
         else:
-            await self._pause(message, who, answer)
+            await self._pause(message, operator, answer)
 
-    async def _emergency_stop(self, message: EmergencyStop, who: str, answer: OrderCallback) -> None:
+    async def _emergency_stop(self, message: EmergencyStop, operator: str, answer: OrderCallback) -> None:
         # Programs receive the reason as well, so it must not contain line breaks or control characters.
         reason = truncate(escape_line(message.reason))
-        self._recorder.on_emergency_stop(who, reason, lifted=message.lift)
+        self._recorder.on_emergency_stop(operator, reason, lifted=message.lift)
         if message.lift:
-            self._note(log_messages.EMERGENCY_STOP_LIFTED.line(operator=who))
+            self._note(log_messages.EMERGENCY_STOP_LIFTED.line(operator=operator))
             devices = self._guards.clear_emergency_stop()
             self._dispatch(StopOrdered("", message.id))
         else:
-            self._note(log_messages.EMERGENCY_STOP.line(operator=who, reason=reason))
+            self._note(log_messages.EMERGENCY_STOP.line(operator=operator, reason=reason))
             # The devices first: they wait neither for the core nor for the disk.
             self._guards.inhibit(reason)
             self._dispatch(StopOrdered(reason, message.id))
             devices = await self._safe_states()
-        trouble = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=message.lift)
-        self._answer(message, answer, devices, trouble)
+        problem = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=message.lift)
+        self._answer(message, answer, devices, problem)
 
-    async def _pause(self, message: Pause, who: str, answer: OrderCallback) -> None:
-        self._recorder.on_pause(who, PAUSED, lifted=message.lift)
+    async def _pause(self, message: Pause, operator: str, answer: OrderCallback) -> None:
+        self._recorder.on_pause(operator, PAUSED, lifted=message.lift)
         team = self._core.coordinators
         if message.lift:
             is_held = team.is_pause_ordered and bool(team.ballot)
@@ -196,8 +196,8 @@ class OrderExecutor:
     async def _confirm(self, message: EmergencyStop | Pause, answer: OrderCallback) -> None:
         """Confirm an executed order that is in force again, with the present states of the devices."""
         devices = await self._safe_states()
-        trouble = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=False)
-        self._answer(message, answer, devices, trouble)
+        problem = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=False)
+        self._answer(message, answer, devices, problem)
 
     async def _safe_states(self) -> dict[str, str]:
         """The confirmed safe states. A starting host accepts orders before it opens its devices."""
@@ -205,8 +205,10 @@ class OrderExecutor:
 
     def _durability_warning(self, *, lift: bool) -> str:
         """Log that the order is not on disk, and the consequence after a restart; returns the line."""
-        why = self._core.coordinators.write_trouble or f"writing takes more than {DURABLE_TIMEOUT:g} s"
-        line = (log_messages.STOP_END_NOT_STORED if lift else log_messages.STOP_NOT_STORED).line(reason=why)
+        reason = self._core.coordinators.write_problem or f"writing takes more than {DURABLE_TIMEOUT:g} s"
+        line = (log_messages.STOP_END_NOT_STORED if lift else log_messages.STOP_NOT_STORED).line(
+            reason=reason
+        )
         self._note(line)
         return truncate(str(line))
 
@@ -214,9 +216,9 @@ class OrderExecutor:
         hold = HOLD_NAMES[effect_of(message.kind)]
         return NEWER_ORDER.format(hold, hold)
 
-    def _all_devices(self, why: str) -> dict[str, str]:
+    def _all_devices(self, reason: str) -> dict[str, str]:
         devices = self._core.mission.devices_of(self._core.name)
-        return {device.name: why for device in devices if not device.is_sensor}
+        return {device.name: reason for device in devices if not device.is_sensor}
 
     def _devices_in_use(self) -> dict[str, str]:
         """For each device '' if it is at rest in its safe state, otherwise IN_USE."""
@@ -230,6 +232,6 @@ class OrderExecutor:
         message: EmergencyStop | Pause,
         answer: OrderCallback,
         devices: dict[str, str],
-        trouble: str = "",
+        problem: str = "",
     ) -> None:
-        answer(EmergencyStopResult(devices, trouble, message.id, self._core.orders.epochs))
+        answer(EmergencyStopResult(devices, problem, message.id, self._core.orders.epochs))

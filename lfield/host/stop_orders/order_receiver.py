@@ -166,11 +166,11 @@ class OrderReceiver:
 
     def _return_answer(self, message: RelayedAnswer) -> None:
         """Return the answer to the senders of the order."""
-        asked = self._orders.get(message.id)
-        if asked is None or asked.handed_back >= MAX_HANDED_BACK:
+        verified = self._orders.get(message.id)
+        if verified is None or verified.handed_back >= MAX_HANDED_BACK:
             return
-        asked.handed_back += 1
-        for origin, asker in asked.askers.items():
+        verified.handed_back += 1
+        for origin, asker in verified.askers.items():
             if asker.signed.relay:
                 self._reply(origin, message.id, message.datagram)
 
@@ -208,60 +208,60 @@ class OrderReceiver:
         """The signature is valid: authorise its signer now, also for a repeated datagram."""
         signed, order, origin = checking.signed, checking.order, checking.origin
         message = _link_message(order, order.epoch_for(self._name) or wire.UNKNOWN_EPOCH)
-        who = known.who
-        asked = self._orders.get(order.id) or _VerifiedOrder()
-        remember_newest(self._orders, order.id, asked, MAX_ORDERS)
-        before, now = asked.askers.get(origin), self._now()
+        operator = known.who
+        verified = self._orders.get(order.id) or _VerifiedOrder()
+        remember_newest(self._orders, order.id, verified, MAX_ORDERS)
+        before, now = verified.askers.get(origin), self._now()
         asker = _Requester(signed, now, before.announced if before else -RECEIPT_DELAY)
-        remember_newest(asked.askers, origin, asker, MAX_ASKERS)
-        if why := missing_permission(who, self._admission.decide(who), message):
-            self._ports.note(log_messages.ORDER_DENIED.line(operator=who, reason=why))
-            self._answer(order.id, wire.OrderDenied(order.id, truncate(why, wire.MAX_SENTENCE)))
+        remember_newest(verified.askers, origin, asker, MAX_ASKERS)
+        if reason := missing_permission(operator, self._admission.decide(operator), message):
+            self._ports.note(log_messages.ORDER_DENIED.line(operator=operator, reason=reason))
+            self._answer(order.id, wire.OrderDenied(order.id, truncate(reason, wire.MAX_SENTENCE)))
             return
         self._relay(checking)
         if order.epoch_for(self._name) is None:
             return
-        if asked.is_executing:
+        if verified.is_executing:
             self._send_receipt(order.id)
             return
-        asked.is_executing = True
-        self._ports.execute(message, str(who), lambda answer: self._on_executed(order.id, answer))
+        verified.is_executing = True
+        self._ports.execute(message, str(operator), lambda answer: self._on_executed(order.id, answer))
         self._ports.later(RECEIPT_DELAY, lambda: self._send_receipt(order.id))
 
     def _send_receipt(self, id: bytes) -> None:
         """Announce the execution to the senders without a recent announcement."""
-        asked, now = self._orders.get(id), self._now()
-        if asked is None or not asked.is_executing:
+        verified, now = self._orders.get(id), self._now()
+        if verified is None or not verified.is_executing:
             return
-        for origin, asker in asked.askers.items():
+        for origin, asker in verified.askers.items():
             if now - asker.announced >= RECEIPT_DELAY:
                 asker.announced = now
                 self._answer(id, wire.OrderReceived(id, self._epochs()), origin)
 
     def _on_executed(self, id: bytes, answer: OrderResponse) -> None:
-        asked = self._orders.get(id)
-        if asked is None:
+        verified = self._orders.get(id)
+        if verified is None:
             return
-        asked.is_executing = False
+        verified.is_executing = False
         if isinstance(answer, OrderChallenge):
             self._answer(id, wire.EpochChallenge(id, answer.epochs))
         else:
             self._confirm(id, _confirmation(id, answer))
 
     def _confirm(self, id: bytes, confirmed: wire.OrderConfirmed) -> None:
-        asked = self._orders[id]
+        verified = self._orders[id]
         self._answer(id, confirmed)
-        if asked.has_confirmed:
+        if verified.has_confirmed:
             return
-        asked.has_confirmed = True
+        verified.has_confirmed = True
         self._ports.later(CONFIRMATION_COPY_DELAY, lambda: self._confirm_again(id, confirmed))
 
     def _confirm_again(self, id: bytes, confirmed: wire.OrderConfirmed) -> None:
         """Repeat the confirmation to the senders that know the certificate: with a certificate the copy would
         be large.
         """
-        asked = self._orders.get(id)
-        askers = asked.askers.items() if asked is not None else ()
+        verified = self._orders.get(id)
+        askers = verified.askers.items() if verified is not None else ()
         for origin in [origin for origin, asker in askers if not asker.signed.unknown]:
             self._answer(id, confirmed, origin)
 

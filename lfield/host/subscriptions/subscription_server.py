@@ -37,8 +37,8 @@ def subscription_to_evict(watching: Sequence[str], newcomer: str) -> int | None:
     The result is the oldest subscription of the identity with the most, if this identity then still has at
     least as many as the newcomer: no identity can exclude others with several subscriptions.
     """
-    most = max(watching, key=Counter(watching).__getitem__)
-    return watching.index(most) if watching.count(most) > watching.count(newcomer) + 1 else None
+    identity = max(watching, key=Counter(watching).__getitem__)
+    return watching.index(identity) if watching.count(identity) > watching.count(newcomer) + 1 else None
 
 
 class SubscriptionServer:
@@ -65,14 +65,16 @@ class SubscriptionServer:
     def subscribe(self, message: Subscribe, link: Link) -> None:
         """Start or replace a subscription."""
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS and link not in self._subscriptions:
-            way = subscription_to_evict([str(each.who) for each in self._subscriptions], str(link.who))
-            if way is None:
+            evicted = subscription_to_evict([str(each.who) for each in self._subscriptions], str(link.who))
+            if evicted is None:
                 self._end(link, f"{MAX_SUBSCRIPTIONS} others watch {self._core.name} already")
                 return
-            self._end(list(self._subscriptions)[way], f"others watch {self._core.name} too, and less often")
+            self._end(
+                list(self._subscriptions)[evicted], f"others watch {self._core.name} too, and less often"
+            )
         recorder, before = self._recorder, self._subscriptions.get(link)
         # A repeated request must not cause extra work.
-        first_batch_at = recorder.up if before is None else max(recorder.up, before.next_batch_at)
+        first_batch_at = recorder.uptime if before is None else max(recorder.uptime, before.next_batch_at)
         # Events before the subscription are not reported as lost.
         recorder.drain()
         self._subscriptions[link] = watcher = EventSubscription(
@@ -94,20 +96,20 @@ class SubscriptionServer:
         self._recorder.drain()
         latest = self._recorder.event_log.latest
         status = self._status() if directory else self._brief_status()
-        now, up = self._clock.time(), self._recorder.up
-        return EventBatch(self._core.incarnation, 1, now, up, latest, latest, [], {}, status)
+        now, uptime = self._clock.time(), self._recorder.uptime
+        return EventBatch(self._core.incarnation, 1, now, uptime, latest, latest, [], {}, status)
 
     def on_ack(self, message: EventAck, link: Link) -> None:
         """A subscriber acknowledges batches."""
         if (watcher := self._subscriptions.get(link)) is not None:
-            watcher.on_ack(message.batch, self._recorder.up, link.traffic.subscription_bytes)
+            watcher.on_ack(message.batch, self._recorder.uptime, link.traffic.subscription_bytes)
             self._on_event()
 
     def flush_and_close(self) -> None:
         """The host stops: send each subscriber its pending events, if it reads them, and close its link."""
         self._recorder.report_dropped(at_once=True)
         for link, watcher in list(self._subscriptions.items()):
-            while (batch := self._batch(watcher, max(self._recorder.up, watcher.due))) and batch.events:
+            while (batch := self._batch(watcher, max(self._recorder.uptime, watcher.due))) and batch.events:
                 self._send(link, batch)
             link.close()
         self._subscriptions.clear()
@@ -120,7 +122,7 @@ class SubscriptionServer:
     def _wake_at(self, due: float | None) -> None:
         if due is None:
             return
-        pause = max(TICK, due - self._recorder.up)
+        pause = max(TICK, due - self._recorder.uptime)
         loop = asyncio.get_running_loop()
         if self._timer is not None:
             if self._timer.when() <= loop.time() + pause:
@@ -135,24 +137,24 @@ class SubscriptionServer:
     def _send_due(self) -> None:
         """Send all batches that are due."""
         self._recorder.report_dropped()
-        up, at = self._recorder.up, self._clock.time()
-        if up >= self._offers_due:
-            self._offers_due = up + OFFERS_EVERY
+        uptime, at = self._recorder.uptime, self._clock.time()
+        if uptime >= self._offers_due:
+            self._offers_due = uptime + OFFERS_EVERY
             self._check_offers()
         dues = [
             watcher.sample_due for watcher in self._subscriptions.values() if watcher.sample_due is not None
         ]
-        if dues and up >= min(dues):
+        if dues and uptime >= min(dues):
             now = self._clock.monotonic()
             values = snapshot(self._core, self._guards, self._link_figures, now)
             stamp = self._recorder.hybrid_clock.tick(now)
             for watcher in self._subscriptions.values():
-                watcher.on_sample(values, at, up, stamp)
+                watcher.on_sample(values, at, uptime, stamp)
         for link, watcher in list(self._subscriptions.items()):
-            if watcher.has_gone(up):
-                self._send(link, watcher.final_batch(at, up))
+            if watcher.has_gone(uptime):
+                self._send(link, watcher.final_batch(at, uptime))
                 self._end(link, f"what it watches was not read for {READ_TIMEOUT:g} s")
-            elif batch := self._batch(watcher, up):
+            elif batch := self._batch(watcher, uptime):
                 watcher.on_sending(link.traffic.subscription_bytes)
                 self._send(link, batch)
         if self._subscriptions:
@@ -165,8 +167,8 @@ class SubscriptionServer:
         dues += [w.sample_due for w in self._subscriptions.values() if w.sample_due is not None]
         self._wake_at(min(*dues, self._offers_due))
 
-    def _batch(self, watcher: EventSubscription, up: float) -> EventBatch | None:
-        return watcher.next_batch(self._clock.time(), up, self._brief_status)
+    def _batch(self, watcher: EventSubscription, uptime: float) -> EventBatch | None:
+        return watcher.next_batch(self._clock.time(), uptime, self._brief_status)
 
     def _brief_status(self) -> Status:
         """The status without the attributes of agents of other hosts: every host has the attributes of all

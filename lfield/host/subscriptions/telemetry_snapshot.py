@@ -26,8 +26,8 @@ def snapshot(
 
 def _agents(core: HostCore) -> Iterator[tuple[str, tuple[object, TelemetryEvent]]]:
     for agent in core.machine.agents.values():
-        standing = agent_activity(agent, core)
-        yield agent.id, (standing, standing)
+        activity = agent_activity(agent, core)
+        yield agent.id, (activity, activity)
 
 
 def agent_activity(agent: Agent, core: HostCore) -> AgentActivity:

@@ -72,10 +72,10 @@ class Coordinators(Part):
         #: The reason why an emergency stop locks the devices here, '' for none.
         self.stopped = self.recovery.stopped
         #: The reason why the disk should admit nothing more, '' if it may.
-        self.space_trouble = ""
+        self.space_problem = ""
         self._has_record = self.recovery.last_start is not None
         #: The reason why records cannot be written now, '' if they can.
-        self.write_trouble = ""
+        self.write_problem = ""
         #: The starts that were informed that a pending call may have started before the restart of the host.
         self.restart_notified: set[tuple[str, int]] = set()
         #: Whether this host admits no coordinator any more.
@@ -114,23 +114,23 @@ class Coordinators(Part):
         time-outs of coordinators that wait for another host restart.
         """
         self.is_pause_ordered, self.ballot = ordered, ballot
-        self.paused = on = ordered or bool(ballot)
-        if not on:
+        self.paused = is_paused = ordered or bool(ballot)
+        if not is_paused:
             self.mobility.postpone(self._clock.monotonic())
-        self.due = None if on else self._deadline
+        self.due = None if is_paused else self._deadline
 
     def set_stopped(self, reason: str) -> None:
         """An emergency stop locks the devices of this host, for that reason; '' for none."""
         self.stopped = reason
 
-    def set_space_trouble(self, trouble: str) -> None:
+    def set_space_problem(self, problem: str) -> None:
         """The reason why the journal should admit nothing more, '' if it may."""
-        self.space_trouble = trouble
+        self.space_problem = problem
 
     @property
     def backpressure(self) -> Backpressure:
         """Whether a coordinator may come here, as announced to other hosts."""
-        return Backpressure(truncate(PAUSED if self.paused else self.space_trouble))
+        return Backpressure(truncate(PAUSED if self.paused else self.space_problem))
 
     def next_batches(self) -> list[PersistRecords]:
         """The batches to write now."""
@@ -139,22 +139,22 @@ class Coordinators(Part):
 
     def _on_write_failed(self, event: WriteFailed) -> None:
         """Keep coordinators on this host, without calls that have side effects."""
-        why = event.reason
-        if not self.write_trouble:
-            self.log(log_messages.JOURNAL_BLOCKED.line(reason=why))
-        self.write_trouble = why
+        reason = event.reason
+        if not self.write_problem:
+            self.log(log_messages.JOURNAL_BLOCKED.line(reason=reason))
+        self.write_problem = reason
         for identity in sorted(self._executor.saving & self._machine.agents.keys()):
             self._refuse_if_not_durable(self._machine.agents[identity])
         self._executor.saving.clear()
 
     def on_durable(self, number: int) -> None:
         """All batches up to this one are on disk."""
-        if self.write_trouble:
+        if self.write_problem:
             self.log(log_messages.JOURNAL_WRITABLE.line())
         for effect in self.write_ahead.on_durable(number):
             self._executor.execute(effect)
         # After the other updates: records that have waited until now are not on disk.
-        self.write_trouble = ""
+        self.write_problem = ""
         self.write_ahead.run_actions()
 
     # --- arrival and departure ------------------------------------------------------------------------
@@ -164,8 +164,8 @@ class Coordinators(Part):
         if self._mission.release.by:
             self.persist(BundleRecord(self._mission.release.digest))
         early, self._queued_arrivals = self._queued_arrivals or {}, None
-        for host, header, block, left in early.values():
-            self.on_transfer(host, header, block, self._clock.monotonic() - left)
+        for host, header, block, sent_at in early.values():
+            self.on_transfer(host, header, block, self._clock.monotonic() - sent_at)
 
     def resume_from_journal(self) -> None:
         if self.paused:
@@ -226,8 +226,8 @@ class Coordinators(Part):
         """
         if not self._hello.journal_id or self._queued_arrivals is not None:
             return
-        here, known = self._mission.team.number(self._hello.host), self.mobility.known_states()
-        own = {member.id for member in self._members.values() if member.host == here}
+        own_number, known = self._mission.team.number(self._hello.host), self.mobility.known_states()
+        own = {member.id for member in self._members.values() if member.host == own_number}
         going = any(row.agent in own and row.state != "EXITED" for row in known)
         self.write_ahead.add_record(RunMarker(open=going), self._clock.monotonic())
         initial = [member.id for member in self._mission.team.initial_coordinators]
@@ -238,8 +238,8 @@ class Coordinators(Part):
         """End of a hop: a coordinator arrived after `transit` seconds, and runs before any reply."""
         if self._queued_arrivals is not None:
             if header.agent in self._members:
-                left = self._clock.monotonic() - transit
-                self._queued_arrivals[header.agent, header.generation] = host, header, block, left
+                sent_at = self._clock.monotonic() - transit
+                self._queued_arrivals[header.agent, header.generation] = host, header, block, sent_at
             return
         now = self._now()
         self._hybrid_clock.merge(host, header.stamp, now)
@@ -270,7 +270,7 @@ class Coordinators(Part):
         coordinator fetches a result, which may still be there. A coordinator that waits for the first of
         several results has already waited for that host, and must not miss the results of other hosts.
         """
-        if self.write_trouble and self._refuse_if_not_durable(agent):
+        if self.write_problem and self._refuse_if_not_durable(agent):
             return
         target, since = self._mission.team.hosts[resource.host], self._clock.monotonic()
         if (lost_reason or down_for) and not self._machine.itinerary.is_fetching(agent):
@@ -303,11 +303,11 @@ class Coordinators(Part):
 
     def _refuse_if_not_durable(self, agent: Agent) -> bool:
         """Refuse a call because its caller's state cannot be written; the caller gets an exception."""
-        if self.write_trouble:
+        if self.write_problem:
             self._executor.resume(
-                agent, LIMIT, f"{self._hello.host} cannot write its journal: {self.write_trouble}"
+                agent, LIMIT, f"{self._hello.host} cannot write its journal: {self.write_problem}"
             )
-        return bool(self.write_trouble)
+        return bool(self.write_problem)
 
     def on_agent_ended(self, agent: Agent) -> None:
         """A coordinator has finished or died."""
@@ -331,8 +331,8 @@ class Coordinators(Part):
         if self.is_halted:
             return mobile.TransferRefusal(UNREACHABLE, f"{self._hello.host} is stopping")
         if header.agent in self._leased and self._fences.rejects(header.agent, header.generation):
-            why = f"on {self._hello.host} this start of {header.agent} is fenced"
-            return mobile.TransferRefusal(UNREACHABLE, why)
+            reason = f"on {self._hello.host} this start of {header.agent} is fenced"
+            return mobile.TransferRefusal(UNREACHABLE, reason)
         member = self._members.get(header.agent)
         if member is None:
             return mobile.TransferRefusal(

@@ -37,7 +37,7 @@ class DeviceCommands(Part):
         mobility: Mobility,
     ) -> None:
         self._machine, self._leases, self._membership, self._mobility = machine, leases, membership, mobility
-        self._environment, self._clock, self._here = context.environment, context.clock, context.name
+        self._environment, self._clock, self._own_host = context.environment, context.clock, context.name
         self._effects, self._out, self._recorder = context.effects, context.effects.append, context.recorder
         self._devices = context.mission.devices_of(context.name)
         self._deadman = DeadmanMonitor(self._devices)
@@ -53,7 +53,9 @@ class DeviceCommands(Part):
     def on_tick(self, now: float) -> None:
         """Make orphaned devices safe."""
         self._deadman.on_running((call.agent for call in self._machine.person_portals.running), now)
-        self._effects += self._deadman.check(self._here, self._mobility.known_states(), self._membership, now)
+        self._effects += self._deadman.check(
+            self._own_host, self._mobility.known_states(), self._membership, now
+        )
         self.due = self._deadman.due
 
     def call_device(

@@ -116,12 +116,12 @@ class TeamLeases(Part):
             self._team.record_existence()
         if now >= self._wait_until:
             self._report_missing()
-        held, self._is_held = self._is_held, self.quorum.lease.holds(now)
-        if held and not self._is_held:
+        was_held, self._is_held = self._is_held, self.quorum.lease.holds(now)
+        if was_held and not self._is_held:
             self._on_lost()
-        elif self._is_held and not held:
+        elif self._is_held and not was_held:
             self._on_gained()
-        self._is_gained = self._is_held and not held
+        self._is_gained = self._is_held and not was_held
         self._update_due()
 
     def poll_gained(self) -> bool:
@@ -147,17 +147,17 @@ class TeamLeases(Part):
     def _on_lost(self) -> None:
         """Calls under the lease fail, and the devices that they used go into their safe states."""
         reason = ENDED.format(self._hello.host)
-        here = {caller for caller in self._callers() if self._is_leased(caller)}
-        used = {device: users & here for device, users in self._users.items()}
-        if here:
+        leased_callers = {caller for caller in self._callers() if self._is_leased(caller)}
+        used = {device: users & leased_callers for device, users in self._users.items()}
+        if leased_callers:
             self._out(WriteLog(log_messages.LEASE_LOST.line(host=self._hello.host)))
-        for name in sorted({caller.id for caller in here}):
+        for name in sorted({caller.id for caller in leased_callers}):
             abandon_calls(self._machine, name, f"{reason}; {MAYBE_STARTED}")
         for device, users in used.items():
             if users:
                 names = tuple(sorted({caller.id for caller in users}))
-                why = f"{reason}; it was used for {', '.join(names)}"
-                self._out(MakeDeviceSafe(device, self._safe[device], why, names))
+                use = f"{reason}; it was used for {', '.join(names)}"
+                self._out(MakeDeviceSafe(device, self._safe[device], use, names))
         self._users.clear()
 
     def _callers(self) -> list[Caller]:
@@ -283,8 +283,8 @@ class TeamLeases(Part):
                     self._team.apply_effects([Send(effect.host, effect.message)])
                 case quorum.RaiseFence():
                     self._raise_fence(effect.agent, effect.generation, effect.reason)
-                    page = FenceRecord(effect.agent, effect.generation)
-                    self._team.apply_effects([PersistRecord(effect.agent, page)])
+                    record = FenceRecord(effect.agent, effect.generation)
+                    self._team.apply_effects([PersistRecord(effect.agent, record)])
                 case quorum.PromoteCheckpoint() if self._team.mobility.recoverable_state(effect.agent):
                     self._out(WriteLog(effect.line))
                     if not self._team.recover(effect.agent, effect.generation):
@@ -309,15 +309,15 @@ class TeamLeases(Part):
 
     def _raise_fence(self, name: str, generation: int, reason: str) -> None:
         """Fence the starts before this one: copies here stop, and their devices go into their safe states."""
-        barred = {c for c in self._callers() if c.id == name and c.generation < generation}
+        fenced_callers = {c for c in self._callers() if c.id == name and c.generation < generation}
         self._team.apply_effects(self._team.mobility.fence(name, generation, reason))
-        if any(self._waiting.get(name) is caller for caller in barred):
+        if any(self._waiting.get(name) is caller for caller in fenced_callers):
             del self._waiting[name]
         for device, users in self._users.items():
-            if users & barred:
-                users -= barred
-                why = f"{name}, which has used it, is fenced: {reason}"
-                self._out(MakeDeviceSafe(device, self._safe[device], why, (name,)))
+            if users & fenced_callers:
+                users -= fenced_callers
+                fence_reason = f"{name}, which has used it, is fenced: {reason}"
+                self._out(MakeDeviceSafe(device, self._safe[device], fence_reason, (name,)))
 
     # --- Copies of the quorum -------------------------------------------------------------------------
 
@@ -330,15 +330,15 @@ class TeamLeases(Part):
             return Checkpoint(
                 CheckpointId(copy.generation, copy.sequence, was_sent=False), is_alive=True, interval=0.0
             )
-        block, left = copy.block, copy.state != "RUN"
+        block, is_sent = copy.block, copy.state != "RUN"
         if copy.is_unreadable:
             # Neither this copy nor an older one is resumed.
             return Checkpoint(
-                CheckpointId(copy.generation, copy.sequence, left), is_alive=False, interval=0.0
+                CheckpointId(copy.generation, copy.sequence, is_sent), is_alive=False, interval=0.0
             )
         sequence = _header_field(block, W_SEQUENCE) if block is not None else 0
         interval = _header_field(block, W_INTERVAL) / 1000.0 if block is not None else 0.0
-        return Checkpoint(CheckpointId(copy.generation, sequence, left), is_alive=False, interval=interval)
+        return Checkpoint(CheckpointId(copy.generation, sequence, is_sent), is_alive=False, interval=interval)
 
     def _termination_checkpoint(self, agent: str) -> Checkpoint | None:
         """The termination of a coordinator without a copy here. It is final once a majority of the members

@@ -38,16 +38,16 @@ def recover(
     terminated coordinator is not recovered; under leases a host knows of terminations if it was recently
     linked to a majority.
     """
-    if why := leases.recovery_blocker(request.agent, request.generation) or _recovery_blocker(
+    if blocker := leases.recovery_blocker(request.agent, request.generation) or _recovery_blocker(
         team, host, request
     ):
-        return RecoverResponse(0, truncate(why))
+        return RecoverResponse(0, truncate(blocker))
     fence = leases.quorum.fences.token_of(request.agent)
     known = [row.generation for row in team.mobility.known_states() if row.agent == request.agent]
     generation = next_recovery(max(request.above, fence, *known), number)
     if not team.recover(request.agent, generation):
-        left = f"the copy of {request.agent} on {host} cannot be read"
-        return RecoverResponse(0, f"{left}; repeat the command: another host may have an older copy")
+        reason = f"the copy of {request.agent} on {host} cannot be read"
+        return RecoverResponse(0, f"{reason}; repeat the command: another host may have an older copy")
     return RecoverResponse(generation)
 
 
@@ -83,8 +83,8 @@ def _change_pause(team: Coordinators, machine: Machine, *, ordered: bool, ballot
     if was_paused or not team.paused:
         return
     callers = {call.agent for call in machine.pending_calls.calls() + machine.person_portals.running}
-    here = {agent.id for agent in machine.agents.values() if agent.member.kind == "coordinator"}
-    for coordinator in sorted(callers | here):
+    coordinators = {agent.id for agent in machine.agents.values() if agent.member.kind == "coordinator"}
+    for coordinator in sorted(callers | coordinators):
         abandon_calls(machine, coordinator, f"the mission was paused; {MAYBE_STARTED}")
 
 
@@ -101,16 +101,16 @@ def set_emergency_stop(team: Coordinators, reason: str, order: bytes) -> None:
 def _recovery_blocker(team: Coordinators, host: str, request: RecoverRequest) -> str:
     if team.is_halted:
         return f"{host} is stopping"
-    if team.write_trouble:
-        return f"{host} cannot write its journal: {team.write_trouble}"
-    left = team.mobility.recoverable_state(request.agent)
-    if left is None:
+    if team.write_problem:
+        return f"{host} cannot write its journal: {team.write_problem}"
+    state = team.mobility.recoverable_state(request.agent)
+    if state is None:
         return f"{host} has no copy of {request.agent} to resume, or it is alive there"
-    if left.state == "RUN":
+    if state.state == "RUN":
         return f"{request.agent} resumes by itself: {host} has just restarted"
-    if left.state == "PREPARED":
-        return f"{request.agent} is on its way from {host} to {left.where}"
-    if (left.generation, left.sequence) != (request.generation, request.sequence):
+    if state.state == "PREPARED":
+        return f"{request.agent} is on its way from {host} to {state.where}"
+    if (state.generation, state.sequence) != (request.generation, request.sequence):
         return f"the copy of {request.agent} on {host} has changed meanwhile; repeat the command"
     return ""
 
@@ -119,7 +119,7 @@ def wait_reason(team: Coordinators, machine: Machine, hosts: Sequence[str], agen
     """A short text about what a frozen coordinator waits for: a write, or its departure."""
     if agent.unreachable_reason:
         return "cannot be there in time"
-    if team.write_trouble and team.write_ahead.is_pending_durable(agent.id):
+    if team.write_problem and team.write_ahead.is_pending_durable(agent.id):
         return "waits for its disk"
     if not team.is_departing(agent):
         return "persisting"

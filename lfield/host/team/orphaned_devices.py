@@ -107,12 +107,12 @@ class DeadmanMonitor:
                 self._coordinators[record.agent].on_state(host, record, now)
 
     def check(
-        self, here: str, own: Iterable[CoordinatorState], others: MembershipView, now: float
+        self, own_host: str, own: Iterable[CoordinatorState], others: MembershipView, now: float
     ) -> list[MakeDeviceSafe | Send]:
-        """The hosts to query, and the devices to make safe. `own` are the records of this host, `here`."""
-        self.on_states(here, own, now)
+        """The hosts to query, and the devices to make safe. `own` are the records of `own_host`."""
+        self.on_states(own_host, own, now)
         unavailable = others.unavailable_hosts((), now, SUSPICION_TIMEOUT, SUSPICION_TIMEOUT)
-        agents, asked = list(self._coordinators), set[str]()
+        agents, queried_hosts = list(self._coordinators), set[str]()
         for name, known in self._coordinators.items():
             where, can_be_asked = known.location, known.location in others.links
             if where in unavailable.reachable_by_others and not can_be_asked:
@@ -121,12 +121,12 @@ class DeadmanMonitor:
                 self._policies[device].after for device in self._users if name in self._users[device]
             )
             if now - known.alive_at >= patience / 2.0:
-                asked |= self._next_hosts(others.links)
+                queried_hosts |= self._next_hosts(others.links)
             if now - known.alive_at >= patience / 4.0 and can_be_asked:
-                asked.add(where)
-        gone = [self._orphan(device) for device in list(self._users) if self._is_orphaned(device, now)]
+                queried_hosts.add(where)
+        orphans = [self._orphan(device) for device in list(self._users) if self._is_orphaned(device, now)]
         self.due = now + CHECK_EVERY if self._users else None
-        return [*gone, *(Send(host, Locate(agents)) for host in sorted(asked))]
+        return [*orphans, *(Send(host, Locate(agents)) for host in sorted(queried_hosts))]
 
     def _next_hosts(self, links: list[str]) -> set[str]:
         """Some of the hosts; the next call returns others."""
@@ -141,12 +141,12 @@ class DeadmanMonitor:
 
     def _orphan(self, device: str) -> MakeDeviceSafe:
         """Make a device safe: the device depends on no coordinator until it is used again."""
-        users, without = self._users.pop(device), self._policies[device]
+        users, policy = self._users.pop(device), self._policies[device]
         described = ", ".join(self._describe(name) for name in sorted(users))
         for name in users - set().union(*self._users.values()):
             del self._coordinators[name]
-        reason = f"no coordinator that used it ({described}) has been confirmed alive for {without.after:g} s"
-        return MakeDeviceSafe(device, without.do, reason, tuple(sorted(users)))
+        reason = f"no coordinator that used it ({described}) has been confirmed alive for {policy.after:g} s"
+        return MakeDeviceSafe(device, policy.do, reason, tuple(sorted(users)))
 
     def _describe(self, name: str) -> str:
         newest = self._coordinators[name].newest

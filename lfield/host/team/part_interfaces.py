@@ -68,7 +68,7 @@ class CoordinatorOperations(Protocol):
     ballot: bytes
     stopped: str
     is_halted: bool
-    write_trouble: str
+    write_problem: str
 
     def apply_effects(self, effects: Iterable[Effect]) -> None:
         """Executes effects; effects that depend on records wait until these are durable."""

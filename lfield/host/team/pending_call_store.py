@@ -33,9 +33,9 @@ class PendingCallStore(Part):
         self._machine, self._clock, self._has_journal = machine, context.clock, context.has_journal
         #: The records, and the number of the batch in which each was last written.
         self._records: dict[CallKey, tuple[PendingCallRecord, int]] = {}
-        for page in context.records:
-            if isinstance(page, PendingCallRecord) and page.program == self._mission:
-                self._records[page.agent, page.generation, page.number] = page, 0
+        for record in context.records:
+            if isinstance(record, PendingCallRecord) and record.program == self._mission:
+                self._records[record.agent, record.generation, record.number] = record, 0
         #: Calls that the machine may start, until they have started.
         self._deleted: list[CallKey] = []
         #: Fetched results, until a record of the coordinator contains them.
@@ -45,7 +45,7 @@ class PendingCallStore(Part):
     def restore(self) -> None:
         """The resources are started: calls under way before the restart are lost."""
         self._machine.pending_calls.restore(
-            [_pending_call(page, self._leases) for page, _ in self._records.values()]
+            [_pending_call(record, self._leases) for record, _ in self._records.values()]
         )
         self.is_polled = bool(self._records)
 
@@ -55,8 +55,8 @@ class PendingCallStore(Part):
         """
         terminated = [
             key
-            for key, (page, _) in self._records.items()
-            if key[:2] in self._team.restart_notified and not page.outcome
+            for key, (record, _) in self._records.items()
+            if key[:2] in self._team.restart_notified and not record.outcome
         ]
         self._machine.pending_calls.forget(terminated)
         self._delete(terminated)
@@ -74,11 +74,11 @@ class PendingCallStore(Part):
         if agent.is_persisted and all(self._is_durable(key) for key in keys):
             self._deleted += keys
             return True
-        new = [call for key, call in zip(keys, calls, strict=True) if key not in self._records]
-        if new and not self._team.write_trouble:
-            for call in new:
+        new_calls = [call for key, call in zip(keys, calls, strict=True) if key not in self._records]
+        if new_calls and not self._team.write_problem:
+            for call in new_calls:
                 self._add_record(agent, call)
-        if new:
+        if new_calls:
             self.on_save(agent)
         return False
 
@@ -86,10 +86,10 @@ class PendingCallStore(Part):
         return key in self._records and self._records[key][1] <= self._team.write_ahead.durable
 
     def _add_record(self, agent: Agent, call: CallRequest) -> None:
-        page = PendingCallRecord(
+        record = PendingCallRecord(
             agent.id, agent.generation, call.number, call.resource, call.portal, program=self._mission
         )
-        self._persist(page)
+        self._persist(record)
 
     def _persist(self, record: PendingCallRecord) -> int:
         batch = self._team.write_ahead.add_record(record, self._clock.monotonic())
@@ -115,7 +115,7 @@ class PendingCallStore(Part):
     def on_save(self, agent: Agent) -> bool:
         """Delete the fetched results of a coordinator when it is saved: the stored block contains them."""
         effects = self._team.save(agent)
-        if self._has_journal and not self._team.write_trouble:
+        if self._has_journal and not self._team.write_problem:
             before = self._fetched.pop((agent.id, agent.generation), [])
             self._delete([*before, *self._machine.pending_calls.drain_fetched(agent)])
         return effects
@@ -130,8 +130,8 @@ class PendingCallStore(Part):
         """Calls that waited for the disk are not started."""
         waiting = [
             key
-            for key, (page, batch) in self._records.items()
-            if batch > self._team.write_ahead.durable and not page.outcome
+            for key, (record, batch) in self._records.items()
+            if batch > self._team.write_ahead.durable and not record.outcome
         ]
         self._delete(waiting)
 
@@ -152,19 +152,19 @@ class PendingCallStore(Part):
         self._delete(failed)
         starts = {key[:2] for key in calls}
         for start in sorted({*starts, *(key[:2] for key in self._records)}):
-            if why := self._end_reason(start):
-                self._cancel_start(start, why, starts)
+            if reason := self._end_reason(start):
+                self._cancel_start(start, reason, starts)
 
     def _end_reason(self, start: StartId) -> str:
         """The reason why a start will not fetch its calls, '' if it may."""
         return self._leases.end_reason(*start)
 
-    def _cancel_start(self, start: StartId, why: str, pending: set[StartId]) -> None:
+    def _cancel_start(self, start: StartId, reason: str, pending: set[StartId]) -> None:
         agent, generation = start
         earlier = [other for other in pending if other[0] == agent and other[1] < generation]
         keys = [key for key in self._records if key[:2] == start]
         if start in pending and all(self._end_reason(other) for other in earlier):
-            self._machine.pending_calls.cancel(agent, generation + 1, why)
+            self._machine.pending_calls.cancel(agent, generation + 1, reason)
         elif start in pending:
             # Of two starts the earlier one continues.
             self._machine.pending_calls.forget(
@@ -174,10 +174,10 @@ class PendingCallStore(Part):
         self._delete(keys)
 
     def _delete(self, keys: Iterable[CallKey]) -> None:
-        gone = [key for key in keys if self._records.pop(key, None)]
-        if gone:
+        deleted = [key for key in keys if self._records.pop(key, None)]
+        if deleted:
             self._team.write_ahead.delete_records(
-                [pending_call_key(*key) for key in gone], self._clock.monotonic()
+                [pending_call_key(*key) for key in deleted], self._clock.monotonic()
             )
 
 

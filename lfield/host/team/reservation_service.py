@@ -51,14 +51,14 @@ class ReservationService(Part):
         self._hello, self._hosts, self._has_journal = hello, mission.team.hosts, context.has_journal
         self._team, self._leases, self._machine = team, leases, machine
         self._clock, self._out, self._linked = context.clock, context.effects.append, is_linked
-        self._here = context.here
+        self._own_number = context.own_number
         self._coordinators = [member.id for member in mission.team.coordinators]
-        self._resources = {m.id for m in mission.team.members_on(self._here) if m.kind == "resource"}
+        self._resources = {m.id for m in mission.team.members_on(self._own_number) if m.kind == "resource"}
         bindings = mission.bindings
         self._lease = bindings.reservations.lease
         first = hello.incarnation % (1 << 30) << 20
         self._reservations = Reservations(first, self._lease, bindings.reserved_wait, self._busy)
-        self._records = [page for page in records if isinstance(page, ReservationRecord)]
+        self._records = [record for record in records if isinstance(record, ReservationRecord)]
         #: The coordinators that are frozen here for a resource.
         self._waiting: dict[StartKey, Agent] = {}
         #: The calls of persons that wait for a resource, and the calls that may try again.
@@ -79,9 +79,9 @@ class ReservationService(Part):
     def restore(self) -> None:
         """The resources are started: a holder before the restart keeps its reservation for one lease."""
         now = self._clock.monotonic()
-        for page in self._records:
-            holder = (page.agent, page.generation) if page.agent else None
-            self._reservations.restore(page.resource, page.number, holder, now)
+        for record in self._records:
+            holder = (record.agent, record.generation) if record.agent else None
+            self._reservations.restore(record.resource, record.number, holder, now)
         self._apply_effects()
 
     # --- the machine asks -----------------------------------------------------------------------------
@@ -90,10 +90,10 @@ class ReservationService(Part):
         """See `HostInterface.acquire_reservation`."""
         found = self._machine.agents.get(resource.id)
         if found is None or found.ended:
-            why = f"it died of {found.report.splitlines()[0]}" if found else "its host does not run it"
-            raise Trap("UnreachableResourceException", f"{resource.id} is gone: {why}", resource.id)
-        if self._team.write_trouble:
-            reason = f"{self._hello.host} cannot write its journal: {self._team.write_trouble}"
+            state = f"it died of {found.report.splitlines()[0]}" if found else "its host does not run it"
+            raise Trap("UnreachableResourceException", f"{resource.id} is gone: {state}", resource.id)
+        if self._team.write_problem:
+            reason = f"{self._hello.host} cannot write its journal: {self._team.write_problem}"
             raise Trap(LIMIT, reason, resource.id)
         if not self._leases.may_start_call(agent):
             # The coordinator waits for the lease first, or is fenced and has stopped: it is not in the queue.
@@ -115,7 +115,7 @@ class ReservationService(Part):
         """See `HostInterface.release_reservations`."""
         for resource, number in held:
             host = self._hosts[resource.host]
-            if resource.host == self._here:
+            if resource.host == self._own_number:
                 self._reservations.release(resource.id, number, self._clock.monotonic())
             elif self._linked(host):
                 self._out(Send(host, ReleaseReservation(resource.id, number)))
@@ -208,12 +208,12 @@ class ReservationService(Part):
         """The hosts that need renewals from this one."""
         if not self.is_polled:
             return set()
-        held = (
+        reservations = (
             entry
             for agent in self._local_coordinators()
             for entry in self._machine.held_reservations.of_coordinator(agent)
         )
-        return {self._hosts[resource.host] for resource, _ in held}
+        return {self._hosts[resource.host] for resource, _ in reservations}
 
     def _on_durable(self, resource: str, number: int) -> None:
         """The record of a holder is on disk."""
@@ -247,13 +247,15 @@ class ReservationService(Part):
             self.due = None
             return
         agents = self._machine.agents
-        self._waiting = {start: one for start, one in self._waiting.items() if agents.get(one.id) is one}
+        self._waiting = {
+            start: waiting for start, waiting in self._waiting.items() if agents.get(waiting.id) is waiting
+        }
         self._renew(now)
         for start in sorted(self._reservations.concerned - self._waiting_persons):
-            why = self._leases.end_reason(*start)
+            reason = self._leases.end_reason(*start)
             # Before the record is on disk, a restart of this host would return the reservation to this start.
-            if why and not self._team.write_ahead.is_pending_durable(start[0]):
-                self._reservations.on_start_ended(start, why, now)
+            if reason and not self._team.write_ahead.is_pending_durable(start[0]):
+                self._reservations.on_start_ended(start, reason, now)
         if not self._team.paused:
             self._reservations.tick(now)
         self._apply_effects()
@@ -285,7 +287,7 @@ class ReservationService(Part):
 
     def _renew_one(self, agent: Agent, resource: TeamMember, number: int, now: float) -> None:
         host = self._hosts[resource.host]
-        if resource.host == self._here:
+        if resource.host == self._own_number:
             self._reservations.renew((agent.id, agent.generation), resource.id, number, now)
         elif self._linked(host):
             self._out(Send(host, RenewReservation(resource.id, number, agent.id, agent.generation)))
@@ -321,8 +323,8 @@ class ReservationService(Part):
     def _write(self, effect: PersistHolder) -> None:
         if self._has_journal:
             agent, generation = effect.holder or ("", 0)
-            page = ReservationRecord(effect.resource, effect.number, agent, generation)
-            batch = self._team.write_ahead.add_record(page, self._clock.monotonic(), is_lazy=effect.is_lazy)
+            record = ReservationRecord(effect.resource, effect.number, agent, generation)
+            batch = self._team.write_ahead.add_record(record, self._clock.monotonic(), is_lazy=effect.is_lazy)
             if effect.holder is not None:
                 action = partial(self._on_durable, effect.resource, effect.number)
                 self._team.write_ahead.when_durable(batch, action)

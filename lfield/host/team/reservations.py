@@ -256,12 +256,12 @@ class Reservations:
         if found.holder is not None and found.number == number and found.is_granted:
             self._end(resource, found, "it has left the block", now)
 
-    def on_start_ended(self, start: StartKey, why: str, now: float) -> None:
+    def on_start_ended(self, start: StartKey, reason: str, now: float) -> None:
         """A start may not act any more: it has terminated, or is fenced."""
         for resource, found in self._resources.items():
             self._leave_queue(found, start)
             if found.holder == start:
-                self._end(resource, found, why, now)
+                self._end(resource, found, reason, now)
 
     @property
     def concerned(self) -> set[StartKey]:
@@ -328,9 +328,9 @@ class Reservations:
         found.since, found.until, found.is_durable, found.is_granted = now, now + self._lease, False, False
         self._effects.append(PersistHolder(resource, found.number, start, is_lazy=False))
 
-    def _end(self, resource: str, found: _Resource, why: str, now: float) -> None:
+    def _end(self, resource: str, found: _Resource, reason: str, now: float) -> None:
         assert found.holder is not None
-        found.ended, found.holder = (found.holder, why, now), None
+        found.ended, found.holder = (found.holder, reason, now), None
         self._effects.append(PersistHolder(resource, found.number, None, is_lazy=True))
         self._advance_queue(resource, found, now)
 
@@ -378,8 +378,8 @@ class Reservations:
         if found.holder is not None and found.holder != start:
             return f"{resource} was reserved by {found.holder[0]} {now - found.since:.1f} s ago"
         if found.ended is not None and found.ended[0] == start:
-            _, why, when = found.ended
-            return f"the reservation of {resource} ended {now - when:.1f} s ago: {why}"
+            _, reason, when = found.ended
+            return f"the reservation of {resource} ended {now - when:.1f} s ago: {reason}"
         if found.holder is None and found.ended is not None and found.number > number:
             (other, _), _, when = found.ended
             return (

@@ -42,20 +42,20 @@ class LinkRefusal(NamedTuple):
 class Readiness:
     """Whether the hosts that a new start needs are present.
 
-    `here` is this host. `needed` are the hosts with resources, in the order of the deployment, and `without`
-    the excluded hosts. `vehicles` are the hosts, this one included, with devices that can be in the air.
-    `is_linked` returns whether a host is linked now; times are in seconds of one clock.
+    `own_host` is this host. `needed` are the hosts with resources, in the order of the deployment, and
+    `without` the excluded hosts. `vehicles` are the hosts, this one included, with devices that can be
+    in the air. `is_linked` returns whether a host is linked now; times are in seconds of one clock.
     """
 
     def __init__(
         self,
-        here: str,
+        own_host: str,
         needed: Sequence[str],
         without: Collection[str],
         vehicles: Collection[str],
         is_linked: Callable[[str], bool],
     ) -> None:
-        self._here, self._needed, self._vehicles, self._is_linked = here, needed, vehicles, is_linked
+        self._own_host, self._needed, self._vehicles, self._is_linked = own_host, needed, vehicles, is_linked
         self._without = set(without)
         #: The hosts excluded by an operator.
         self._without_by_command: set[str] = set()
@@ -134,7 +134,7 @@ class Readiness:
     @property
     def missing(self) -> list[str]:
         """The hosts that have to be linked first, in the order of the deployment."""
-        others = (host for host in self._needed if host != self._here)
+        others = (host for host in self._needed if host != self._own_host)
         return [host for host in others if host not in self._without and not self._is_linked(host)]
 
     @property
@@ -203,10 +203,10 @@ class Readiness:
     @property
     def due(self) -> float | None:
         """The time of the next log line or query, None for never."""
-        asked = [
+        query_times = [
             self._queried_at[host] + QUERY_EVERY for host in self._unknown_hosts() if host in self._queried_at
         ]
-        return min([self._repeat_at, *asked]) if self._repeat_at else min(asked, default=None)
+        return min([self._repeat_at, *query_times]) if self._repeat_at else min(query_times, default=None)
 
     def line(self, agents: Sequence[str], now: float) -> LogLine | None:
         """The log line about the wait of these coordinators, None when none is due.

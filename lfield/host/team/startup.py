@@ -37,12 +37,12 @@ class Startup(Part):
         self, context: HostContext, team: CoordinatorOperations, leases: LeaseRules, membership: Membership
     ) -> None:
         mission, host = context.mission, context.name
-        self._mission, self._here, self._hosts = mission, host, mission.team.hosts
+        self._mission, self._own_host, self._hosts = mission, host, mission.team.hosts
         self._team, self._leases, self._clock = team, leases, context.clock
         self._has_journal, self._environment = context.has_journal, context.environment
         self._out, self._log, self._recorder = context.effects.append, context.log, context.recorder
         self.own_agents = [
-            member.id for member in mission.team.initial_coordinators if member.host == context.here
+            member.id for member in mission.team.initial_coordinators if member.host == context.own_number
         ]
         #: A lease that was gained permits a start in the same turn.
         self.is_polled = bool(leases.leased_agents)
@@ -121,10 +121,10 @@ class Startup(Part):
         self._start_if_ready()
         status = self.status
         waits = status is not None and (status.hosts or status.held)
-        shown = (status.agents, status.hosts, status.held) if status and waits else ([], [], "")
-        if shown != self._reported_wait:
-            self._reported_wait = shown
-            self._recorder.on_start_delayed(*shown)
+        wait = (status.agents, status.hosts, status.held) if status and waits else ([], [], "")
+        if wait != self._reported_wait:
+            self._reported_wait = wait
+            self._recorder.on_start_delayed(*wait)
         self._update_due()
 
     def on_tick(self, now: float) -> None:
@@ -171,7 +171,7 @@ class Startup(Part):
             readiness.hold(EMERGENCY_STOPPED)
         if not (readiness.held or readiness.missing or self._gate.missing or self._is_paused(agents)):
             for host in readiness.hosts_to_query(now):
-                if host == self._here:
+                if host == self._own_host:
                     readiness.on_vehicles(host, self._local_vehicles())
                 else:
                     self._out(Send(host, GroundQuery()))
@@ -182,7 +182,8 @@ class Startup(Part):
     def _local_vehicles(self) -> dict[str, bool | None]:
         """Whether each vehicle of this host is on the ground, None if unknown."""
         reported = {
-            name: self._environment.last(name, ON_GROUND) for name in self._mission.vehicles_of(self._here)
+            name: self._environment.last(name, ON_GROUND)
+            for name in self._mission.vehicles_of(self._own_host)
         }
         return {name: None if landed is None else _truth(landed.value) for name, landed in reported.items()}
 
@@ -220,8 +221,8 @@ class Startup(Part):
         unknown = [host for host in without if host not in self._hosts]
         if unknown:
             hint = did_you_mean(unknown[0], self._hosts)
-            said = f"the deployment has no host '{unknown[0]}'{f': {hint}' if hint else ''}"
-            return StartResponse([], self.status, said)
+            problem = f"the deployment has no host '{unknown[0]}'{f': {hint}' if hint else ''}"
+            return StartResponse([], self.status, problem)
         waiting = self._new_starts() if self._gate.is_waiting else []
         if not self._gate.is_decided:
             self.readiness.on_start_command(without)
@@ -231,14 +232,14 @@ class Startup(Part):
             self.check()
         return StartResponse(waiting, self.status)
 
-    def unstartable(self, gone: Collection[str]) -> dict[str, str]:
+    def unstartable(self, ended_hosts: Collection[str]) -> dict[str, str]:
         """The coordinators that wait for a host that has certainly ended, each with the reason."""
-        lacking = [host for host in self.readiness.missing if host in gone]
+        lacking = [host for host in self.readiness.missing if host in ended_hosts]
         if not (self._gate.is_waiting and lacking):
             return {}
         ended = f"{listed(lacking)} {'has' if len(lacking) == 1 else 'have'} ended"
-        why = f"it was not started, since {ended}"
-        return dict.fromkeys(self._new_starts(), why)
+        reason = f"it was not started, since {ended}"
+        return dict.fromkeys(self._new_starts(), reason)
 
     def _waits_for_lease(self) -> bool:
         """Whether a lease is awaited: the members may know of a later start."""
@@ -264,15 +265,15 @@ class Startup(Part):
         self._gate.require_above(
             max((self._leases.quorum.fences.token_of(agent) for agent in self.own_agents), default=0)
         )
-        against = {agent: self._blocking_reason(agent, known) for agent in self.own_agents}
-        if self._has_journal and counted < self._gate.next_generation and not all(against.values()):
+        blocking_reasons = {agent: self._blocking_reason(agent, known) for agent in self.own_agents}
+        if self._has_journal and counted < self._gate.next_generation and not all(blocking_reasons.values()):
             counted = self._gate.next_generation
             self._is_count_pending, batch = True, self._team.record_start(counted)
             self._team.write_ahead.when_durable(batch, partial(self._on_count_durable, counted))
             return
-        for agent, why in against.items():
-            if why:
-                self._log(log_messages.START_REFUSED.line(agent=agent, reason=why))
+        for agent, reason in blocking_reasons.items():
+            if reason:
+                self._log(log_messages.START_REFUSED.line(agent=agent, reason=reason))
                 # Other hosts have to know that no start follows an end in their journals.
                 self._team.apply_effects(self._team.mobility.announce_end(agent))
             else:

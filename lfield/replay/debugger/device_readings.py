@@ -47,8 +47,8 @@ def reading_named(
 def _readings(moment: Moment) -> Iterator[DeviceReading]:
     program = moment.table.program
     environment = moment.environment
-    asked = [each for each in environment.known if each.question in (Question.QUERY, Question.READING)]
-    for answer in sorted(asked, key=lambda each: each.question):
+    answers = [each for each in environment.known if each.question in (Question.QUERY, Question.READING)]
+    for answer in sorted(answers, key=lambda each: each.question):
         if answer.error:
             continue
         agent, number = answer.arguments

@@ -157,8 +157,8 @@ class WatchExpression:
             tree = expression(stream)
         mistakes = found.in_order()
         if mistakes or tree is None or not stream.at_end():
-            why = mistakes[0].message if mistakes else "it is not one expression"
-            raise UsageError(f"'{text}' cannot be evaluated: {why}")
+            reason = mistakes[0].message if mistakes else "it is not one expression"
+            raise UsageError(f"'{text}' cannot be evaluated: {reason}")
         if not all(isinstance(node, _EVALUATED) for node in _nodes(tree)):
             raise UsageError(f"'{text}' cannot be evaluated: {_ONLY_READ}")
         self._tree = tree

@@ -259,9 +259,9 @@ class HostTimeline:
             for turn in self._checkpoint_turns[::2]:
                 self._checkpoint_bytes -= len(self._checkpoints.pop(turn).snapshot)
             del self._checkpoint_turns[::2]
-        self._checkpoints[run.turn] = made = run.replay.checkpoint()
+        self._checkpoints[run.turn] = checkpoint = run.replay.checkpoint()
         self._checkpoint_turns.insert(bisect_left(self._checkpoint_turns, run.turn), run.turn)
-        self._checkpoint_bytes += len(made.snapshot)
+        self._checkpoint_bytes += len(checkpoint.snapshot)
 
 
 class _Reached(BaseException):

@@ -118,10 +118,10 @@ class ValueReader:
         w, place = self._block.w, variable.word
         if w[place] & 0xFF == layout.OBJECT:
             return self._object_parts(place)
-        of = self._program.core.element(w[place] >> 8 & 0xFFFFFF)
+        element = self._program.core.element(w[place] >> 8 & 0xFFFFFF)
         first, end = layout.elements(w, place)
         size = min(end - first, MAX_PARTS)
-        return [self.variable(f"[{number}]", of, w[first + number]) for number in range(size)]
+        return [self.variable(f"[{number}]", element, w[first + number]) for number in range(size)]
 
     def _object_parts(self, place: int) -> list[Variable]:
         w = self._block.w
@@ -162,11 +162,13 @@ class ValueReader:
             return None
         index = w[place] >> 8 & 0xFFFFFF
         if is_map(self._block, self._program, place):
-            of = entry_types(self._program, index)
+            types = entry_types(self._program, index)
             entries = map_entries(self._block, place)
             # As shown, and as in an expression of a debugger: `["a"]`, `[a]`.
-            shown = ((v, f"[{self._text(of[0], k)}]", f"[{self.plain((of[0], k))}]") for k, v in entries)
-            return next(((of[1], v) for v, *names in shown if name in names), None)
+            named_values = (
+                (v, f"[{self._text(types[0], k)}]", f"[{self.plain((types[0], k))}]") for k, v in entries
+            )
+            return next(((types[1], v) for v, *names in named_values if name in names), None)
         if w[place] & 0xFF == layout.OBJECT:
             fields = enumerate(core.classes[index].fields)
             return next(((f.type, w[place + 1 + n]) for n, f in fields if f.name == name), None)
@@ -212,17 +214,17 @@ class ValueReader:
         if record.kind not in _COMPOSITE or not word:
             return self.plain(value)
         w = self._block.w
-        what = w[word] & 0xFF
-        if what not in _WITH_PARTS:
+        form = w[word] & 0xFF
+        if form not in _WITH_PARTS:
             return self.plain(value)
         index = w[word] >> 8 & 0xFFFFFF
         first, end = layout.elements(w, word)
         size = end - first
         if not levels:
             return index, size
-        if what == layout.OBJECT:
+        if form == layout.OBJECT:
             types = [field.type for field in self._program.core.classes[index].fields]
         else:
             types = [self._program.core.element(index)] * min(size, MAX_PARTS)
-        parts = (self.content((of, w[first + n]), levels - 1) for n, of in enumerate(types))
+        parts = (self.content((field_type, w[first + n]), levels - 1) for n, field_type in enumerate(types))
         return index, size, tuple(parts)

@@ -148,9 +148,9 @@ class GuardIndex:
     def _add_event(self, numbers: list[int], event: DeviceEvent) -> None:
         number, time = self._team_time(numbers, event.time)
         start = self._team.hosts[number].recording.start
-        up = max(0.0, event.time - start.at)
+        uptime = max(0.0, event.time - start.at)
         # Events of a number up to 0 would be those before a snapshot.
-        self._index.add(time, number, Event(1, start.wall + event.time - start.at, up, 0, event.what))
+        self._index.add(time, number, Event(1, start.wall + event.time - start.at, uptime, 0, event.what))
 
     def _team_time(self, numbers: list[int], at: float) -> tuple[int, float]:
         """The recording that was made at a time of the host's clock, and the time of the team."""

@@ -99,7 +99,7 @@ class EventIndex:
                 core.recorder.on_log_line(effect.text)
         for event in self._new_events(number, core):
             # Events of the creation of the core are earlier than its first turn.
-            self.add(max(self._times[number][0], at - (core.recorder.up - event.up)), number, event)
+            self.add(max(self._times[number][0], at - (core.recorder.uptime - event.up)), number, event)
 
     def _new_events(self, number: int, core: HostCore) -> list[Event]:
         core.recorder.drain()

@@ -64,11 +64,11 @@ class ReplayPlayer:
         #: The start of playing by the caller's clock, and the position at that time.
         self._started_at = self._from = 0.0
         #: The reason why the last step did not move, '' if it did.
-        self.trouble = ""
+        self.problem = ""
 
     def execute(self, command: ReplayCommand, now: float) -> None:
         """Execute a command; `now` is a monotonic time."""
-        debugger, self.trouble = self._debugger, ""
+        debugger, self.problem = self._debugger, ""
         self.speed = 0.0
         match command.go:
             case "time":
@@ -93,28 +93,28 @@ class ReplayPlayer:
         if time >= self._debugger.team.duration:
             self.speed = 0.0
 
-    def stop(self, trouble: str) -> None:
+    def stop(self, problem: str) -> None:
         """Stop playing, for a reason."""
-        self.speed, self.trouble = 0.0, trouble
+        self.speed, self.problem = 0.0, problem
 
     def _search(self, command: ReplayCommand, target: Target) -> None:
         interruptible = _InterruptibleTarget(target, self._is_superseded)
         if not self._debugger.search(interruptible, backward=command.backward):
-            self.trouble = f"there is no {'earlier' if command.backward else 'later'} {command.go}"
+            self.problem = f"there is no {'earlier' if command.backward else 'later'} {command.go}"
 
     def _step_event(self, *, backward: bool) -> None:
         """Move to the end of the turn in which the next or last event happened."""
         debugger, order = self._debugger, self._debugger.team.order_of
-        here, is_before = order(debugger.place)[:3], debugger.place.step == 0
+        position, is_before = order(debugger.place)[:3], debugger.place.step == 0
         for event in self._events_from(debugger.seconds, backward=backward):
             place = self._place_of(event)
-            there = order(place)[:3]
-            if there < here if backward else there > here or (there == here and is_before):
+            other = order(place)[:3]
+            if other < position if backward else other > position or (other == position and is_before):
                 debugger.go_to(place)
                 return
-        self.trouble = f"there is no {'earlier' if backward else 'later'} event"
+        self.problem = f"there is no {'earlier' if backward else 'later'} event"
         if not self._events.is_complete:
-            self.trouble += " among those that are read so far"
+            self.problem += " among those that are read so far"
 
     def _events_from(self, seconds: float, *, backward: bool) -> Iterator[IndexedEvent]:
         index = self._events

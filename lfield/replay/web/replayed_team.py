@@ -103,12 +103,12 @@ class ReplayedTeam:
     def _feed(self, number: int, events: list[Event], now: float) -> None:
         team = self._debugger.team
         start = team.hosts[number].recording.start
-        up, wall = self._up(number, now), self.started_at + now
+        uptime, wall = self._uptime(number, now), self.started_at + now
         latest = max((each.number for each in events), default=0)
-        batch = EventBatch(start.incarnation, 1, wall, up, 0, latest, events)
+        batch = EventBatch(start.incarnation, 1, wall, uptime, 0, latest, events)
         self._view.feed(start.host, batch, now, wall)
 
-    def _up(self, number: int, now: float) -> float:
+    def _uptime(self, number: int, now: float) -> float:
         """The seconds since the start of a host at a time of the team."""
         host, times = self._debugger.team.hosts[number], self._debugger.team.times[number]
         turn = max(0, bisect_right(times, now) - 1)
@@ -122,8 +122,8 @@ class ReplayedTeam:
             agent_activity(agent, moment.core) for agent in moment.agents.values() if not agent.ended
         ]
         found += self._device_values(number, moment, now)
-        up, wall = self._up(number, now), self.started_at + now
-        return [Event(0, wall, up, 0, what) for what in found]
+        uptime, wall = self._uptime(number, now), self.started_at + now
+        return [Event(0, wall, uptime, 0, event) for event in found]
 
     def _device_values(self, number: int, moment: Moment, now: float) -> Iterator[DeviceTelemetry]:
         recorded = self._guards.devices

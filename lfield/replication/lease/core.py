@@ -129,8 +129,10 @@ class Quorum:
         is held.
         """
         self._needed_members = not self.lease.holds(now)
-        asked = self.lease.holds(now) or self.lease.is_requested_since(now - self.members.heartbeat_interval)
-        if self._next_heartbeat is not None and not asked:
+        is_requested = self.lease.holds(now) or self.lease.is_requested_since(
+            now - self.members.heartbeat_interval
+        )
+        if self._next_heartbeat is not None and not is_requested:
             self._next_heartbeat = min(self._next_heartbeat, now)
 
     def _detect_stall(self, now: float) -> None:
@@ -214,10 +216,10 @@ class Quorum:
         # Number 0 is no heartbeat: the message carries fences and grants no lease.
         number = message.number if self.knows_promises else 0
         # An incomplete set of fences would be useless: no lease is granted then.
-        whole = len(fences) <= MAX_RECORDS and len(ended) <= MAX_RECORDS
+        is_complete = len(fences) <= MAX_RECORDS and len(ended) <= MAX_RECORDS
         return (
             [SendQuorumMessage(host, HeartbeatAck(message.incarnation, number, fences, ended))]
-            if whole
+            if is_complete
             else []
         )
 

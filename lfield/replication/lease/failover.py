@@ -183,9 +183,9 @@ class Failover:
             saved.position, "asking", now, now + self._members.heartbeat_interval, now + self._members.lease
         )
         self._attempts[agent] = attempt
-        asked = self._send_queries(agent, attempt, now)
+        queries = self._send_queries(agent, attempt, now)
         line = log_messages.FAILOVER_SUSPECTED.line(agent=agent, seconds=saved.interval)
-        return [*self._explain(agent, line, now), *asked]
+        return [*self._explain(agent, line, now), *queries]
 
     def _explain(self, agent: str, text: LogLine, now: float) -> list[Effect]:
         """Log a reason once per suspicion."""
@@ -257,8 +257,8 @@ class Failover:
             attempt.promised.add(self._members.own_name)
         if self._members.is_majority(attempt.promised):
             attempt.phase, attempt.due = "waiting", now + self._members.grace_period
-        bar = RaiseFence(agent, attempt.generation, reason)
-        return [bar, *(self._resend(agent, attempt, now) if attempt.phase == "proposing" else [])]
+        raise_fence = RaiseFence(agent, attempt.generation, reason)
+        return [raise_fence, *(self._resend(agent, attempt, now) if attempt.phase == "proposing" else [])]
 
     def _resend(self, agent: str, attempt: FailoverAttempt, now: float) -> list[Effect]:
         attempt.due = now + self._members.heartbeat_interval
@@ -293,5 +293,5 @@ class Failover:
         return []
 
 
-def _newer(theirs: CheckpointId | None, own: CheckpointId) -> bool:
-    return theirs is not None and theirs.sort_key > own.sort_key
+def _newer(other: CheckpointId | None, own: CheckpointId) -> bool:
+    return other is not None and other.sort_key > own.sort_key

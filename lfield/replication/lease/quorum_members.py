@@ -14,14 +14,14 @@ HEARTBEATS_PER_LEASE = 4
 
 
 class QuorumMembers:
-    """The voting members; `here` is this host, which need not be a member. `lease` is in seconds."""
+    """The voting members; `own_name` is this host, which need not be a member. `lease` is in seconds."""
 
     def __init__(
-        self, names: Collection[str], here: str, lease: float, *, knows_promises: bool = True
+        self, names: Collection[str], own_name: str, lease: float, *, knows_promises: bool = True
     ) -> None:
-        self.own_name, self.lease = here, lease
+        self.own_name, self.lease = own_name, lease
         self.names = frozenset(names)
-        self.others = sorted(self.names - {here})
+        self.others = sorted(self.names - {own_name})
         self.majority = len(self.names) // 2 + 1
         #: Whether this host knows all promises that it may have made. Its own vote counts only if it does.
         self.knows_promises = knows_promises

@@ -56,8 +56,8 @@ class TerminationLog:
         """Assume that the promise of each fence in the journal, made by an earlier incarnation, may still be
         used.
         """
-        kept, self._restored = self._restored, {}
-        for agent, fence in kept.items():
+        restored, self._restored = self._restored, {}
+        for agent, fence in restored.items():
             if agent not in self._promised:
                 self.on_promise_given(agent, fence, "", now)
 
@@ -66,11 +66,11 @@ class TerminationLog:
     def termination_of(self, agent: str) -> Terminated | None:
         """The newest known termination of a coordinator, on disk or not; None without one."""
         saved = self._copies.checkpoint(agent)
-        kept = saved.ended if saved is not None else None
+        termination = saved.ended if saved is not None else None
         waits = self._waiting.get(agent)
-        if kept is None or (waits is not None and waits.generation > kept.generation):
+        if termination is None or (waits is not None and waits.generation > termination.generation):
             return waits
-        return kept
+        return termination
 
     def covering_termination(self, agent: str, generation: int) -> Terminated | None:
         """The termination of that start or a later start, which forbids a resumption from its checkpoints."""

@@ -61,8 +61,8 @@ def resolve_outcomes(
     found = {}
     for agent, home in homes.items():
         by_host = {host: [r for r in rows if r.agent == agent] for host, rows in records.items()}
-        if fate := _ClusterQuery(agent, by_host, unavailable).outcome(home):
-            found[agent] = fate
+        if outcome := _ClusterQuery(agent, by_host, unavailable).outcome(home):
+            found[agent] = outcome
     return found
 
 
@@ -76,9 +76,9 @@ def local_outcomes(
     """
     found = resolve_outcomes(homes, {"": records}, UnavailableHosts())
     return {
-        agent: fate
-        for agent, fate in found.items()
-        if fate.outcome in TERMINATED or (fate.outcome == "lost" and agent in proven)
+        agent: outcome
+        for agent, outcome in found.items()
+        if outcome.outcome in TERMINATED or (outcome.outcome == "lost" and agent in proven)
     }
 
 
@@ -107,7 +107,11 @@ class OutcomeResolver:
         for host, rows in records.items():
             for row in rows:
                 self._note_state(_past_state(row, host, unavailable.state_ids.get(host, 0)))
-        return {agent: fate for agent, fate in self._before.items() if _is_certain(fate, before.get(agent))}
+        return {
+            agent: outcome
+            for agent, outcome in self._before.items()
+            if _is_certain(outcome, before.get(agent))
+        }
 
     def _note_state(self, row: CoordinatorState) -> None:
         key = row.agent, row.generation
@@ -123,10 +127,10 @@ def _past_state(row: CoordinatorState, host: str, state_id: int) -> CoordinatorS
     return structs.replace(row, state="MOVED", where=host, receiver_memory=state_id)
 
 
-def _is_certain(fate: CoordinatorOutcome, before: CoordinatorOutcome | None) -> bool:
-    match fate.outcome:
+def _is_certain(outcome: CoordinatorOutcome, before: CoordinatorOutcome | None) -> bool:
+    match outcome.outcome:
         case "lost":
-            return before is not None and (fate, fate.starts) == (before, before.starts)
+            return before is not None and (outcome, outcome.starts) == (before, before.starts)
         case "unheard":
             return before is not None and before.outcome == "unheard"
         case _:
@@ -158,8 +162,10 @@ class _ClusterQuery:
         if not starts:
             return self._no_start_found(home, is_superseded=bool(superseded))
         found = [self._start(generation, ended.get(generation)) for generation in starts]
-        fate = next((fate for fate in found if fate is None or fate.outcome != "lost"), found[0])
-        return replace(fate, starts=tuple(starts)) if fate and fate.outcome == "lost" else fate
+        outcome = next(
+            (outcome for outcome in found if outcome is None or outcome.outcome != "lost"), found[0]
+        )
+        return replace(outcome, starts=tuple(starts)) if outcome and outcome.outcome == "lost" else outcome
 
     def _start(self, generation: int, ended: CoordinatorState | None) -> CoordinatorOutcome | None:
         return (
@@ -187,18 +193,18 @@ class _ClusterQuery:
                 # This start is proven lost; its home may have started the coordinator again since then.
                 return self._lost_unless_elsewhere(row.detail)
         last = max(rows, key=lambda row: row.sequence)
-        where, way = last.where, f"it moved to {last.where} (transfer {last.sequence})"
+        where, movement = last.where, f"it moved to {last.where} (transfer {last.sequence})"
         if where in self.unavailable.ended:
             return self._lost_unless_elsewhere(f"its last host {where} has ended")
         if where in self.unavailable.silent_for:
-            return self._silent(where, f"{way}, and")
-        there = known.get(where)
-        if there is None or any(row.sequence >= last.sequence for row in there):
+            return self._silent(where, f"{movement}, and")
+        rows_there = known.get(where)
+        if rows_there is None or any(row.sequence >= last.sequence for row in rows_there):
             return None
         if self.unavailable.state_ids.get(where) == last.receiver_memory:
             # The start is in transit to that incarnation, or waits there for its devices.
             return None
-        return self._lost_unless_elsewhere(f"{way}, which was restarted")
+        return self._lost_unless_elsewhere(f"{movement}, which was restarted")
 
     def _lost_unless_elsewhere(self, how: str) -> CoordinatorOutcome | None:
         """The outcome "lost", unless the coordinator may have moved on to a host that does not answer."""

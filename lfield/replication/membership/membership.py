@@ -66,16 +66,16 @@ class HighestCounters:
 class Membership:
     """Liveness of the other hosts, for all parts of one host. Times are in seconds of its monotonic clock.
 
-    `hosts` are the hosts of the deployment, with their `numbers`. `here` is this host's number, `incarnation`
-    its incarnation, `now` the start time. `neighbours` are the overlay links, which carry the gossip;
-    `contacts` are the links as the transport measures them.
+    `hosts` are the hosts of the deployment, with their `numbers`. `own_number` is this host's number,
+    `incarnation` its incarnation, `now` the start time. `neighbours` are the overlay links, which carry the
+    gossip; `contacts` are the links as the transport measures them.
     """
 
     def __init__(
         self,
         hosts: Sequence[str],
         numbers: Mapping[str, int],
-        here: int,
+        own_number: int,
         incarnation: int,
         now: float,
         neighbours: Overlay,
@@ -85,7 +85,8 @@ class Membership:
         #: The time of the last message from a host itself; None before the first. Heartbeats that other hosts
         #: pass on do not count: they show that the host is alive, but not that a message can reach it.
         self.last_contact = contacts.last_contact_at
-        self._hosts, self._numbers, self._here, self._incarnation = hosts, numbers, here, incarnation
+        self._hosts, self._numbers = hosts, numbers
+        self._own_number, self._incarnation = own_number, incarnation
         self._neighbours, self.neighbours = neighbours, neighbours.neighbours
         #: The heartbeat counter of this host, and the counter up to which it was probed.
         self._count = self._promised = 0
@@ -118,7 +119,7 @@ class Membership:
 
     @property
     def _others(self) -> list[str]:
-        return [host for number, host in enumerate(self._hosts) if number != self._here]
+        return [host for number, host in enumerate(self._hosts) if number != self._own_number]
 
     # --- links ----------------------------------------------------------------------------------------
 
@@ -185,7 +186,7 @@ class Membership:
             self._next_heartbeat = now + HEARTBEAT_EVERY
             if self._count < self._promised:
                 self._count += 1
-                self._on_counter(LivenessCounter(self._here, self._incarnation, self._count))
+                self._on_counter(LivenessCounter(self._own_number, self._incarnation, self._count))
             self._probe(self._missing(now))
         listeners = self._gossip_targets() if self._changes else []
         messages = [(host, gossip) for host in listeners if (gossip := self._gossip_for(host))]
@@ -196,8 +197,8 @@ class Membership:
         return messages
 
     def _gossip_targets(self) -> list[str]:
-        to = self._neighbours.chosen | self._gossipers
-        return sorted(to & self.linked, key=self._numbers.__getitem__)
+        targets = self._neighbours.chosen | self._gossipers
+        return sorted(targets & self.linked, key=self._numbers.__getitem__)
 
     def on_gossip(self, host: str, message: GossipUpdate, now: float) -> None:
         """Apply the gossip of another host."""
@@ -206,7 +207,7 @@ class Membership:
         for question in self._valid_counters(message.probes):
             self._on_probe(question, now)
         for sign in self._valid_counters(message.counters):
-            if sign.host != self._here and self._on_counter(sign):
+            if sign.host != self._own_number and self._on_counter(sign):
                 self._last_evidence[self._hosts[sign.host]] = now
         if self._number > before and self.due is not None:
             self.due = min(self.due, max(now, self._next_gossip_at))
@@ -216,22 +217,22 @@ class Membership:
 
     def _gossip_for(self, host: str) -> GossipUpdate | None:
         since = self._gossiped_until.get(host, 0)
-        fresh = []
+        new_keys = []
         for key in reversed(self._changes):
             if self._changes[key] <= since:
                 break
-            fresh.append(key)
-        part = fresh[: -MAX_COUNTERS - 1 : -1]
+            new_keys.append(key)
+        part = new_keys[: -MAX_COUNTERS - 1 : -1]
         if not part:
             return None
         self._gossiped_until[host] = self._changes[part[-1]]
         signs = [self._counters.newest[number] for question, number, _ in part if not question]
-        asked = [
-            LivenessCounter(number, life, self._probes.count_of(number, life))
-            for question, number, life in part
+        questions = [
+            LivenessCounter(number, incarnation, self._probes.count_of(number, incarnation))
+            for question, number, incarnation in part
             if question
         ]
-        return GossipUpdate(signs, asked)
+        return GossipUpdate(signs, questions)
 
     def _note(self, key: tuple[bool, int, int]) -> None:
         self._number += 1
@@ -253,8 +254,8 @@ class Membership:
         self._note((False, sign.host, 0))
         host = self._hosts[sign.host]
         self._note_incarnation(host, sign.incarnation)
-        owed = self._owed_counters.get(host)
-        if owed and (sign.incarnation != owed.incarnation or sign.count >= owed.count):
+        question = self._owed_counters.get(host)
+        if question and (sign.incarnation != question.incarnation or sign.count >= question.count):
             del self._owed_counters[host]
         return True
 
@@ -263,12 +264,12 @@ class Membership:
         if not self._forward_probe(question):
             return
         host = self._hosts[question.host]
-        if question.host == self._here:
-            idle = self._count >= self._promised
-            own = question.incarnation == self._incarnation
-            requested = question.count if own else self._count + 1
+        if question.host == self._own_number:
+            is_idle = self._count >= self._promised
+            is_own = question.incarnation == self._incarnation
+            requested = question.count if is_own else self._count + 1
             self._promised = max(self._promised, min(requested, self._count + HEARTBEAT_CREDIT))
-            if idle:
+            if is_idle:
                 self._run_now(now)
         elif question.incarnation:
             # The probing host knew this incarnation.
@@ -278,7 +279,7 @@ class Membership:
         if not self._probes.update(question):
             return False
         self._note((True, question.host, question.incarnation))
-        if question.host == self._here:
+        if question.host == self._own_number:
             return True
         host = self._hosts[question.host]
         if question.incarnation:
@@ -295,17 +296,17 @@ class Membership:
         answer.
         """
         young = now - self._started_at < SUSPICION_TIMEOUT
-        near = {host for host in self.neighbours if host in self._incarnations or not young}
-        return sorted((near | self.suspected) - self.linked - self.ended, key=self._numbers.__getitem__)
+        neighbours = {host for host in self.neighbours if host in self._incarnations or not young}
+        return sorted((neighbours | self.suspected) - self.linked - self.ended, key=self._numbers.__getitem__)
 
     def _probe(self, hosts: Iterable[str]) -> None:
         for host in hosts:
             number = self._numbers[host]
             newest = self._counters.newest.get(number)
-            life = newest.incarnation if newest else self._incarnations.get(host, 0)
+            incarnation = newest.incarnation if newest else self._incarnations.get(host, 0)
             count = newest.count if newest else 0
-            if count + HEARTBEAT_CREDIT // 2 >= self._probes.count_of(number, life):
-                self._forward_probe(LivenessCounter(number, life, count + HEARTBEAT_CREDIT))
+            if count + HEARTBEAT_CREDIT // 2 >= self._probes.count_of(number, incarnation):
+                self._forward_probe(LivenessCounter(number, incarnation, count + HEARTBEAT_CREDIT))
 
     # --- missing hosts --------------------------------------------------------------------------------
 

@@ -25,14 +25,20 @@ def distances(hosts: int) -> list[int]:
 
 
 class Overlay:
-    """The neighbours of host number `here`; with `is_full_mesh`, all other hosts."""
+    """The neighbours of host number `own_number`; with `is_full_mesh`, all other hosts."""
 
-    def __init__(self, hosts: Sequence[str], here: int, *, is_full_mesh: bool = False) -> None:
-        self._hosts, self._here = hosts, here
-        self._steps = [] if is_full_mesh else [(d, way) for d in distances(len(hosts)) for way in (1, -1)]
-        others = range(len(hosts)) if is_full_mesh else [self._host_at(d, way) for d, way in self._steps]
+    def __init__(self, hosts: Sequence[str], own_number: int, *, is_full_mesh: bool = False) -> None:
+        self._hosts, self._own_number = hosts, own_number
+        self._steps = (
+            [] if is_full_mesh else [(d, direction) for d in distances(len(hosts)) for direction in (1, -1)]
+        )
+        others = (
+            range(len(hosts))
+            if is_full_mesh
+            else [self._host_at(d, direction) for d, direction in self._steps]
+        )
         #: Hosts that have this host as a neighbour.
-        self.neighbours = frozenset(hosts[number] for number in others if number != here)
+        self.neighbours = frozenset(hosts[number] for number in others if number != own_number)
         #: The substitutes that are connected or being connected, as of the last call.
         self.chosen: frozenset[str] = self.neighbours
         self._linked: set[str] = set()
@@ -52,8 +58,8 @@ class Overlay:
         found = set(self.neighbours)
         since: dict[str, float] = {}
         if not self.neighbours <= self._linked:
-            for distance, way in self._steps:
-                for host in self._ring_from(distance, way):
+            for distance, direction in self._steps:
+                for host in self._ring_from(distance, direction):
                     found.add(host)
                     if host in self._linked:
                         break
@@ -63,12 +69,12 @@ class Overlay:
         self._since, self.chosen = since, frozenset(found)
         return self.chosen
 
-    def _ring_from(self, distance: int, way: int) -> Iterator[str]:
+    def _ring_from(self, distance: int, direction: int) -> Iterator[str]:
         """The hosts from this distance on, once around the ring."""
         for step in range(len(self._hosts) - 1):
-            number = self._host_at(distance + step, way)
-            if number != self._here:
+            number = self._host_at(distance + step, direction)
+            if number != self._own_number:
                 yield self._hosts[number]
 
-    def _host_at(self, distance: int, way: int) -> int:
-        return (self._here + way * distance) % len(self._hosts)
+    def _host_at(self, distance: int, direction: int) -> int:
+        return (self._own_number + direction * distance) % len(self._hosts)

@@ -242,7 +242,7 @@ class CopyTable:
 
     def park(self, records: Iterable[CoordinatorRecord]) -> None:
         """Set the records of other missions."""
-        self.parked = {(page.agent, page.generation): page for page in records}
+        self.parked = {(record.agent, record.generation): record for record in records}
 
     def persist(self, copy: CoordinatorCopy, *, is_lazy: bool = False) -> list[Effect]:
         """Write the record of a copy before later effects.
@@ -263,14 +263,14 @@ class CopyTable:
         """The states of parked copies, for other hosts."""
         return [
             CoordinatorState(
-                page.agent,
-                page.generation,
-                page.sequence,
-                page.hops,
-                "MOVED" if page.state == "MOVED" else "PARKED",
-                page.target if page.state == "MOVED" else "",
+                record.agent,
+                record.generation,
+                record.sequence,
+                record.hops,
+                "MOVED" if record.state == "MOVED" else "PARKED",
+                record.target if record.state == "MOVED" else "",
             )
-            for page in self.parked.values()
+            for record in self.parked.values()
         ]
 
     def __iter__(self) -> Iterator[CoordinatorCopy]:

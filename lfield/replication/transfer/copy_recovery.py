@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 class CopyRecovery:
     """The copies from which `host` may resume coordinators that it does not hold."""
 
-    def __init__(self, host: str, copies: CopyTable, endings: Termination) -> None:
-        self._host, self._copies, self._termination = host, copies, endings
+    def __init__(self, host: str, copies: CopyTable, termination: Termination) -> None:
+        self._host, self._copies, self._termination = host, copies, termination
 
     def newest_copy(self, agent: str) -> CoordinatorCopy | None:
         """The newest shadow, or a stored copy that has not continued or may not continue; None if there is
@@ -42,21 +42,23 @@ class CopyRecovery:
 
         Raises ValueError if there is no copy here, or if the number is known.
         """
-        left = self.newest_copy(agent)
-        if left is None or self._copies.find(agent, generation) is not None:
+        newest = self.newest_copy(agent)
+        if newest is None or self._copies.find(agent, generation) is not None:
             raise ValueError(f"{agent} cannot be recovered as generation {generation}")
-        found = CoordinatorCopy(agent, generation, hops=left.hops, block=left.block and bytes(left.block))
+        found = CoordinatorCopy(
+            agent, generation, hops=newest.hops, block=newest.block and bytes(newest.block)
+        )
         if found.block is not None and put(found) is None:
-            left.mark_unreadable()
+            newest.mark_unreadable()
             return []
         copy = self._copies.find_or_create(agent, generation)
         assert copy is not None
-        copy.mark_running(0, left.hops, found.block)
+        copy.mark_running(0, newest.hops, found.block)
         # No message is sent, and no copy starts, before the record of the new start is on disk.
         effects = self._copies.persist(copy) + self._termination.terminate_outranked(copy)
         if found.block is None:
             return [*effects, CoordinatorStarted(agent, generation)]
-        left_for = f"its departure for {left.target}" if left.target else "its last stored state"
+        left_for = f"its departure for {newest.target}" if newest.target else "its last stored state"
         known = f"{MAYBE_STARTED}, and later actions are unknown"
         reason = f"{agent} was recovered on {self._host} from {left_for}; {known}"
         return [*effects, ResumeWithException(agent, generation, 0, RESTARTED, reason, recovered=True)]
@@ -78,8 +80,10 @@ def stop_below(copies: Collection[CoordinatorCopy], generation: int, reason: str
 def newest_resumable(copies: Collection[CoordinatorCopy]) -> CoordinatorCopy | None:
     """The copy from which a coordinator could resume; None if there is none, or a later start has ended."""
     ended = max((copy.generation for copy in copies if copy.outcome in TERMINAL), default=0)
-    here = (copy for copy in copies if copy.state not in ("ABSENT", "EXITED") and copy.generation > ended)
-    return max(here, key=lambda copy: copy.generation, default=None)
+    candidates = (
+        copy for copy in copies if copy.state not in ("ABSENT", "EXITED") and copy.generation > ended
+    )
+    return max(candidates, key=lambda copy: copy.generation, default=None)
 
 
 def termination(copies: Collection[CoordinatorCopy]) -> CoordinatorCopy | None:

@@ -99,10 +99,10 @@ class Mobility:
         here. `parked` are records of another mission: they are reported, and their numbers are not reused.
         """
         self._copies.park(parked)
-        for page in records:
-            copy = self._copies.find_or_create(page.agent, page.generation)
+        for record in records:
+            copy = self._copies.find_or_create(record.agent, record.generation)
             if copy is not None:
-                copy.restore(page)
+                copy.restore(record)
                 self._termination.on_restored(copy)
 
     def resume_restored(self, put: RestoreHook, now: float) -> list[Effect]:
@@ -157,13 +157,13 @@ class Mobility:
 
         Starts that are known to be alive continue. Returns the starts that end here.
         """
-        gone = {
+        generations = {
             copy.generation
             for copy in self._copies.starts_of(agent)
             if copy.state == "MOVED" or copy.doubt_reason
         }
-        gone |= {generation for name, generation in self._copies.parked if name == agent}
-        effects = self._termination.declare_lost(agent, sorted(gone), detail)
+        generations |= {generation for name, generation in self._copies.parked if name == agent}
+        effects = self._termination.declare_lost(agent, sorted(generations), detail)
         return [effect.generation for effect in effects if isinstance(effect, DropTerminated)], effects
 
     def set_delay_rule(self, is_delayed: Callable[[Terminated], bool]) -> None:
@@ -231,18 +231,18 @@ class Mobility:
         the losses, only those proven now (`found`) are sent.
         """
         effects: list[Effect] = []
-        for fate in found:
-            if fate.outcome == "lost":
-                effects += self._termination.declare_lost(fate.agent, fate.starts, fate.detail)
+        for outcome in found:
+            if outcome.outcome == "lost":
+                effects += self._termination.declare_lost(outcome.agent, outcome.starts, outcome.detail)
         return effects + self._termination.broadcast_all()
 
     def proven_losses(self, since: float) -> set[str]:
         """The coordinators that a host shutting down has reported as lost, with proof, since this time."""
         return self._termination.proven_losses(since)
 
-    def on_backpressure(self, host: str, trouble: str) -> list[Effect]:
+    def on_backpressure(self, host: str, problem: str) -> list[Effect]:
         """A host reports why it cannot store arriving coordinators, or '' when it can store them again."""
-        return self._sender.on_backpressure(host, trouble)
+        return self._sender.on_backpressure(host, problem)
 
     def needs_probe(self, host: str) -> bool:
         """Whether a linked host must answer a probe first: none is sent to it before `on_probe_answer`."""
@@ -392,9 +392,9 @@ class Mobility:
             return []
         effects = self._sender.on_state(host, state_id, known)
         effects += self._termination.fence(known.agent, known.generation, host)
-        here = self._copies.find(known.agent, known.generation)
+        own_copy = self._copies.find(known.agent, known.generation)
         # A host that was down when this start ended still has the copy; the home may have made another start.
-        is_outdated = here is not None and here.outcome in TERMINATED
+        is_outdated = own_copy is not None and own_copy.outcome in TERMINATED
         if known.state in LIVE_STATES and not is_outdated:
             effects += self._termination.compare_starts(host, known)
         return effects

@@ -32,22 +32,22 @@ def is_recovery(generation: int) -> bool:
     return generation >= GENERATION_STRIDE and generation % GENERATION_STRIDE != 0
 
 
-def outranks(one: int, other: int) -> bool:
-    """Whether start `one` continues when both may be alive.
+def outranks(generation: int, other: int) -> bool:
+    """Whether the start `generation` continues when both may be alive.
 
     The newest recovery wins; without a recovery, the earliest start, which has done work.
     """
-    if is_recovery(one) != is_recovery(other):
-        return is_recovery(one)
-    return one > other if is_recovery(one) else one < other
+    if is_recovery(generation) != is_recovery(other):
+        return is_recovery(generation)
+    return generation > other if is_recovery(generation) else generation < other
 
 
-def blocks(one: int, other: int, *, alive: bool) -> bool:
+def blocks(generation: int, other: int, *, alive: bool) -> bool:
     """Whether a start, given whether it is `alive`, prevents another start from running.
 
     A recovery supersedes all earlier starts, whether or not the recovery succeeded.
     """
-    return (alive and outranks(one, other)) or (is_recovery(one) and one > other)
+    return (alive and outranks(generation, other)) or (is_recovery(generation) and generation > other)
 
 
 def stop_reason(agent: str, generation: int, by: int, host: str) -> str:

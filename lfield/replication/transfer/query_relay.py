@@ -32,7 +32,7 @@ E = TypeVar("E")
 
 
 class QueryRelay(Generic[E]):
-    """The relay of host `here`, for its own messages and messages of other hosts.
+    """The relay of host `own_number`, for its own messages and messages of other hosts.
 
     `incarnation` is that of the host; effects are passed to `out`. `membership` knows the links; `mobility`
     processes messages for this host.
@@ -46,14 +46,14 @@ class QueryRelay(Generic[E]):
     def __init__(
         self,
         hosts: Sequence[str],
-        here: int,
+        own_number: int,
         incarnation: int,
         clock: Clock,
         out: Callable[[E | Send], None],
         membership: Membership,
         mobility: Mobility,
     ) -> None:
-        self._hosts, self._here, self._incarnation = hosts, here, incarnation
+        self._hosts, self._own_number, self._incarnation = hosts, own_number, incarnation
         self._clock, self._out, self._membership, self._mobility = clock, out, membership, mobility
         #: The time when `on_tick` is due, in seconds; None while no transfer from here awaits an answer.
         self.due: float | None = None
@@ -73,16 +73,16 @@ class QueryRelay(Generic[E]):
     def on_tick(self, now: float) -> None:
         """Query every transfer from here whose receiver has no link."""
         self.due = None
-        for question, doubt in self._mobility.pending_queries():
+        for question, is_in_doubt in self._mobility.pending_queries():
             self._send_relayed(question)
-            due = now + (ASK_IN_DOUBT_EVERY if doubt else ASK_EVERY)
+            due = now + (ASK_IN_DOUBT_EVERY if is_in_doubt else ASK_EVERY)
             self.due = due if self.due is None else min(self.due, due)
 
     def send(self, effect: E) -> None:
         """Emit an effect; relay an answer whose recipient has no link here."""
         if isinstance(effect, Send) and isinstance(effect.message, TransferAccepted | TransferRefused):
-            asked = _key(effect.host, effect.message) in self._pending
-            if asked or not self._membership.is_linked(effect.host):
+            is_pending = _key(effect.host, effect.message) in self._pending
+            if is_pending or not self._membership.is_linked(effect.host):
                 self._pending.pop(_key(effect.host, effect.message), None)
                 self._send_relayed(effect)
                 return
@@ -91,12 +91,12 @@ class QueryRelay(Generic[E]):
     def on_relayed(self, host: str, relayed: RelayedMessage) -> list[Effect]:
         """Process a relayed message, or relay it to all others. Returns effects of mobility."""
         number = relayed.origin.host
-        if max(number, relayed.receiver) >= len(self._hosts) or number == self._here:
+        if max(number, relayed.receiver) >= len(self._hosts) or number == self._own_number:
             return []
         if not self._handled.update(relayed.origin) or not self._may_forward(number):
             return []
         origin, message = self._hosts[number], relayed.message
-        if relayed.receiver == self._here:
+        if relayed.receiver == self._own_number:
             if isinstance(message, TransferQuery):
                 self._note(_key(origin, message))
             return self._mobility.on_message(origin, message, self._clock.monotonic())
@@ -122,7 +122,7 @@ class QueryRelay(Generic[E]):
     def _send_relayed(self, effect: Send) -> None:
         assert isinstance(effect.message, TransferAccepted | TransferRefused | TransferQuery)
         self._count += 1
-        origin = LivenessCounter(self._here, self._incarnation, self._count)
+        origin = LivenessCounter(self._own_number, self._incarnation, self._count)
         self._forward(RelayedMessage(origin, self._hosts.index(effect.host), effect.message), set())
 
     def _forward(self, relayed: RelayedMessage, but: set[str]) -> None:

@@ -139,9 +139,11 @@ class StartGate:
 
     def is_alive(self, agent: str, known: Iterable[CoordinatorState]) -> bool:
         """Whether a coordinator is alive, by what is `known` here and the reports of linked hosts."""
-        here = [record for record in known if record.agent == agent]
-        ended = {record.generation for record in here if record.state == "EXITED"}
-        said = (record for records in self._states_of.values() for record in records if record.agent == agent)
-        return any(record.state in (*LIVE_STATES, "IN DOUBT") for record in here) or any(
-            record.state in LIVE_STATES and record.generation not in ended for record in said
+        own_records = [record for record in known if record.agent == agent]
+        ended = {record.generation for record in own_records if record.state == "EXITED"}
+        reported_records = (
+            record for records in self._states_of.values() for record in records if record.agent == agent
+        )
+        return any(record.state in (*LIVE_STATES, "IN DOUBT") for record in own_records) or any(
+            record.state in LIVE_STATES and record.generation not in ended for record in reported_records
         )

@@ -212,8 +212,8 @@ class Termination:
         """End a copy because `host` reports another start; other hosts need not be notified."""
         held = copy.state in LIVE_STATES
         copy.mark_ended("superseded", reason, host)
-        kept = self._copies.persist(copy)
-        return [*kept, TerminateCopy(copy.agent, copy.generation, reason)] if held else kept
+        effects = self._copies.persist(copy)
+        return [*effects, TerminateCopy(copy.agent, copy.generation, reason)] if held else effects
 
     def compare_starts(self, host: str, known: CoordinatorState) -> list[Effect]:
         """`host` holds a live copy of a start: supersede that start, or the starts here that it outranks."""

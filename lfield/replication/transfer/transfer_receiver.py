@@ -39,9 +39,9 @@ class TransferReceiver:
     """The hops that end on one host: its arriving copies."""
 
     def __init__(
-        self, own: Hello, copies: CopyTable, departures: TransferSender, endings: Termination
+        self, own: Hello, copies: CopyTable, departures: TransferSender, termination: Termination
     ) -> None:
-        self._own, self._copies, self._departures, self._endings = own, copies, departures, endings
+        self._own, self._copies, self._departures, self._termination = own, copies, departures, termination
         self._state_id = own.state_id
 
     def on_transfer(self, host: str, header: Transfer, block: Buffer, inject: InjectHook) -> list[Effect]:
@@ -65,9 +65,9 @@ class TransferReceiver:
         is_known = copy is not None and (copy.state != "ABSENT" or copy.sequence >= header.sequence)
         if is_known or start in self._copies.parked or header.receiver_memory != self._state_id:
             return None
-        here, memory = self._own.host, header.receiver_memory
+        own_host, memory = self._own.host, header.receiver_memory
         return CoordinatorState(
-            *start, header.sequence, header.hops, "PREPARED", here, receiver_memory=memory
+            *start, header.sequence, header.hops, "PREPARED", own_host, receiver_memory=memory
         )
 
     def on_oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
@@ -127,7 +127,7 @@ class TransferReceiver:
         effects: list[Effect] = []
         restarted = len(self._copies.starts_of(header.agent)) > 1
         if restarted:
-            effects += self._endings.supersede_arrival(copy)
+            effects += self._termination.supersede_arrival(copy)
         if copy.state == "EXITED" and copy.outcome != "lost":
             return effects
         if copy.state in ("RUN", "FROZEN"):
@@ -144,8 +144,8 @@ class TransferReceiver:
             effects += self._confirm_by_successor(copy)
             copy.refuse(header.sequence, refusal)
         if restarted:
-            effects += self._endings.supersede(header.agent, header.generation, self._own.host)
-            effects += self._endings.displace_in_doubt(copy) if refusal is None else []
+            effects += self._termination.supersede(header.agent, header.generation, self._own.host)
+            effects += self._termination.displace_in_doubt(copy) if refusal is None else []
         return effects
 
     def _confirm_by_successor(self, copy: CoordinatorCopy) -> list[Effect]:
@@ -180,8 +180,8 @@ class TransferReceiver:
         return copy
 
     def _too_large(self, agent: str, size: int) -> TransferRefusal:
-        host, most = self._own.host, self._own.max_block
-        return TransferRefusal(LIMIT, f"{agent} has {size} bytes and {host} takes at most {most}")
+        host, maximum = self._own.host, self._own.max_block
+        return TransferRefusal(LIMIT, f"{agent} has {size} bytes and {host} takes at most {maximum}")
 
     def _stale_note(self, host: str, message: Transfer | TransferQuery) -> LogAnomaly:
         # Any answer could be wrong: the verdict of the earlier incarnation is unknown.

@@ -51,10 +51,10 @@ class TransferSender:
         own: Hello,
         copies: CopyTable,
         links: Mapping[str, Hello],
-        endings: Termination,
+        termination: Termination,
         unreachable_after: float,
     ) -> None:
-        self._own, self._copies, self._links, self._termination = own, copies, links, endings
+        self._own, self._copies, self._links, self._termination = own, copies, links, termination
         self._unreachable_after = unreachable_after
         #: Seconds by which a doubt is reported later than the time-out of a call.
         self._doubt_grace = max(0.0, MIN_DOUBT_TIME - unreachable_after)
@@ -118,13 +118,13 @@ class TransferSender:
         peer = self._links.get(copy.target)
         return [] if peer is None else self._retry(copy, peer)
 
-    def on_backpressure(self, host: str, trouble: str) -> list[Effect]:
+    def on_backpressure(self, host: str, problem: str) -> list[Effect]:
         """A host reports whether it can store arrivals: if not, no copy is sent, and copies wait as without a
         link.
         """
         self._backpressure.pop(host, None)
-        if trouble:
-            self._backpressure[host] = trouble
+        if problem:
+            self._backpressure[host] = problem
             return []
         waiting = [copy for copy in self._copies if copy.target == host and copy.state == "FROZEN"]
         return [effect for copy in waiting for effect in self._send(copy)]
@@ -210,10 +210,10 @@ class TransferSender:
             return []
         host, seconds = copy.target, self._unreachable_after
         if copy.state == "FROZEN":
-            why = f"could not be reached within {seconds:g} s; is it up?"
+            reason = f"could not be reached within {seconds:g} s; is it up?"
             if host in self._backpressure:
-                why = f"could not store {copy.agent} within {seconds:g} s: {self._backpressure[host]}"
-            return self._resume(copy, UNREACHABLE, f"{host} {why}")
+                reason = f"could not store {copy.agent} within {seconds:g} s: {self._backpressure[host]}"
+            return self._resume(copy, UNREACHABLE, f"{host} {reason}")
         if copy.state == "PREPARED" and not copy.doubt_reason and now >= self.due(copy):
             waited = f"{seconds + self._doubt_grace:g} s"
             return self._mark_in_doubt(

@@ -71,7 +71,7 @@ class Team:
     """Coordinators and mobility in one: `end_reason` has the ended starts, `sent` those that left."""
 
     def __init__(self) -> None:
-        self.write_ahead, self.write_trouble, self.mobility = WriteAheadQueue(), "", self
+        self.write_ahead, self.write_problem, self.mobility = WriteAheadQueue(), "", self
         self.ended: dict[tuple[str, int], str] = {}
         self.sent: set[tuple[str, int]] = set()
         self.saved: list[str] = []
@@ -242,7 +242,7 @@ def test_a_call_whose_write_failed_does_not_begin_later() -> None:
 
 def test_a_failing_disk_reports_to_the_coordinator_and_records_nothing() -> None:
     bench = Bench()
-    bench.team.write_trouble = "its disk fails"
+    bench.team.write_problem = "its disk fails"
     assert not bench.begins(Walker())
     # `Coordinators.save` reports it.
     assert bench.team.saved == ["w"]

@@ -73,7 +73,7 @@ async def test_the_home_continues_and_the_returned_host_does_not(team, /):
     )
     assert "away does not answer" in belief.lines[1]
     answer = await send_request(team.network.transport("desk"), "home:8181", recover(belief.request))
-    assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.here
+    assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.own_number
     assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
     expected = (
         "told: guest was recovered on home from its departure for away; this call may have begun, "

@@ -43,7 +43,7 @@ def stopped(found: dict[str, str]) -> tuple[GuardsStub, list]:
         orders=ExecutedOrders(random.Random(1).randbytes),
         recorder=SimpleNamespace(on_emergency_stop=lambda who, reason, lifted: None),
         mission=SimpleNamespace(devices_of=lambda host: devices),
-        coordinators=SimpleNamespace(stopped="fog", write_trouble=""),
+        coordinators=SimpleNamespace(stopped="fog", write_problem=""),
     )
     guards, answers = GuardsStub(found), []
 

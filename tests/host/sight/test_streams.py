@@ -362,9 +362,9 @@ def test_a_flood_of_events_is_delivered_at_a_megabyte_a_second_without_loss():
             recorder.on_device_event(DeviceLatched("copter7.fc", "land", f"reason {tick}"))
         clock.advance(MIN_INTERVAL + 1e-6)
         recorder.refill(clock.monotonic())
-        batch = batch_of(watcher, recorder.up)
+        batch = batch_of(watcher, recorder.uptime)
         assert "state" not in batch.lost
-        watcher.on_ack(batch.batch, recorder.up)
+        watcher.on_ack(batch.batch, recorder.uptime)
         received += len(batch.events)
         latched += [event for event in batch.events if event.kind == "latched"]
     assert received > 150_000

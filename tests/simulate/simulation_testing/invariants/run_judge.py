@@ -115,7 +115,7 @@ class RunJudge:
         self._lives[life.core.incarnation], self._memories[life.core.incarnation] = life, memory
         if self._disks_of.setdefault(name, memory) != memory:
             self._disks_of[name] = memory
-            self.reserved.on_disk_lost(member.id for member in life.core.team.members_on(life.core.here))
+            self.reserved.on_disk_lost(m.id for m in life.core.team.members_on(life.core.own_number))
             self.orders.on_disk_lost(name)
         self.orders.on_host_start(name)
         tap(life, self)
