@@ -76,7 +76,7 @@ class FramedLink:
 
     def __init__(self, peer: str, max_block: int) -> None:
         self.peer = peer
-        self.who: Identity = ANONYMOUS
+        self.identity: Identity = ANONYMOUS
         self.closed = self.is_answered = False
         #: The data withheld while coordinators and answers are withheld, else None; since then, the weight of
         #: the messages that arrived, and their coordinators.

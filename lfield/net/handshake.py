@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 class Handshake:
     """The handshake of one link, as seen from one side.
 
-    `own` is the Hello of this side, `who` the authenticated peer, and `decision` its present authorisation,
-    replaced when it is reassessed. `hosts` are the names in the deployment, `linked` the incarnations of the
-    hosts with a live link when `own` was made: the link of an earlier incarnation of the peer must be closed,
-    since `own` does not include the messages that it may still send. `dialled` is the name of the dialled
-    host; None on the accepting side. An observer (`own.role`) has no deployment: it passes no hosts and
-    accepts any host.
+    `own` is the Hello of this side, `identity` the authenticated peer, and `decision` its present
+    authorisation, replaced when it is reassessed. `hosts` are the names in the deployment, `linked` the
+    incarnations of the hosts with a live link when `own` was made: the link of an earlier incarnation of the
+    peer must be closed, since `own` does not include the messages that it may still send. `dialled` is the
+    name of the dialled host; None on the accepting side. An observer (`own.role`) has no deployment: it
+    passes no hosts and accepts any host.
 
     Send `first_message`, pass every message to `receive` until `peer` is set, and later ones to `admit`. When
     one of them raises an error, send `refusal`, if any, and close the link with the error.
@@ -39,14 +39,14 @@ class Handshake:
     def __init__(
         self,
         own: Hello,
-        who: Identity,
+        identity: Identity,
         *,
         decision: AdmissionDecision = ALLOWED,
         hosts: Collection[str] = (),
         linked: Mapping[str, int] | None = None,
         dialled: str | None = None,
     ) -> None:
-        self.own, self.who, self.decision = own, who, decision
+        self.own, self.identity, self.decision = own, identity, decision
         self.peer: Hello | None = None
         self.refusal: HandshakeRefused | None = None
         #: The bundle of a refused peer; b"" if the peer has none or the bundle is unknown.
@@ -60,20 +60,20 @@ class Handshake:
 
     def first_message(self) -> Hello:
         """The first message. Raises HandshakeError if the peer must receive no data of this host."""
-        who = self.who
-        if who.kind == "stranger":
+        identity = self.identity
+        if identity.kind == "stranger":
             self._refuse("unknown certificate authority: hosts and operators have keys from 'lfield keys'")
-        if who.kind == "local" and not who.may:
+        if identity.kind == "local" and not identity.may:
             self._refuse(
-                f"the host is run by {who}, and a command trusts only its own user, root, and the group "
+                f"the host is run by {identity}, and a command trusts only its own user, root, and the group "
                 "'lfield': use sudo, if it is a host of yours"
                 if self.own.role == "observer"
-                else f"{who} has no permission here: join the group 'lfield', which may observe and stop, or "
-                "use sudo"
+                else f"{identity} has no permission here: join the group 'lfield', which may observe and "
+                "stop, or use sudo"
             )
         if self.decision.extent == "nothing":
             self._refuse(self.decision.why)
-        return self.own if who.kind == "host" else self.own.summary
+        return self.own if identity.kind == "host" else self.own.summary
 
     def receive(self, message: Message) -> Hello:
         """The peer's accepted Hello. Raises HandshakeError, and WireError for any other message."""
@@ -106,20 +106,24 @@ class Handshake:
             raise WireError("received a second Hello on one link")
         if self.peer is None:
             raise WireError(f"received {type(message).__name__} before the handshake")
-        if self.peer.role == "observer" and (why := missing_permission(self.who, self.decision, message)):
+        if self.peer.role == "observer" and (
+            why := missing_permission(self.identity, self.decision, message)
+        ):
             self.refusal = HandshakeRefused(why)
             raise HandshakeError(why)
 
     def _check_identity(self, hello: Hello) -> None:
         """The claimed identity must not exceed the authenticated one."""
-        who = self.who
-        if hello.role == "observer" or (self.own.role == "observer" and who.kind == "local"):
+        identity = self.identity
+        if hello.role == "observer" or (self.own.role == "observer" and identity.kind == "local"):
             return
-        if who.kind != "host":
-            self._refuse(f"{self.own.host} accepts hosts by certificate, and {who} may only send commands")
-        if who.name != hello.host:
+        if identity.kind != "host":
             self._refuse(
-                f"{who} calls itself {hello.host}; the name in its certificate must be its name in the "
+                f"{self.own.host} accepts hosts by certificate, and {identity} may only send commands"
+            )
+        if identity.name != hello.host:
+            self._refuse(
+                f"{identity} calls itself {hello.host}; the name in its certificate must be its name in the "
                 f"deployment: 'lfield keys host {hello.host}' makes one"
             )
         if self.own.role == "observer" and self._dialled not in (None, hello.host):

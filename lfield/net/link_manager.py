@@ -275,13 +275,13 @@ class LinkManager:
 
     # --- reports of sessions --------------------------------------------------------------------------
 
-    def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
+    def new_handshake(self, dialled: str | None, identity: Identity) -> Handshake:
         if dialled is None:
-            self._last_incoming[who.name] = self.now()
+            self._last_incoming[identity.name] = self.now()
         return Handshake(
             self._admission.sign_hello(self._owner.hello()),
-            who,
-            decision=self._admission.decide(who, expected=dialled or ""),
+            identity,
+            decision=self._admission.decide(identity, expected=dialled or ""),
             hosts=self._hosts,
             linked=live_incarnations(self._links, self.needs_link, self.now()),
             dialled=dialled,
@@ -309,13 +309,12 @@ class LinkManager:
         links, others = self._links.values(), (*self._observers, *self._ungreeted, *dialling)
         for session in dict.fromkeys((*links, *others)):
             if session.connected:
-                session.on_reauthorised(self._admission.decide(session.link.who, linked=session in links))
+                identity = session.link.identity
+                session.on_reauthorised(self._admission.decide(identity, linked=session in links))
         self.standbys.close_rejected()
 
     def _on_revocations(self, data: bytes) -> None:
-        """Apply a certificate revocation list; forward a new list to all hosts, and to the revoked
-        ones last.
-        """
+        """Apply a certificate revocation list; forward a new one to all hosts, the revoked ones last."""
         if apply_revocations(self._admission, data, self._owner.note):
             for host in self._links:
                 self.send(host, RevocationUpdate(data))
@@ -329,7 +328,7 @@ class LinkManager:
     def on_greeted(self, session: Session, hello: Hello) -> None:
         """A link has completed its handshake on both sides."""
         self._ungreeted.on_authenticated(session, source_of(session.link.peer))
-        self._admission.on_handshake(session.link.who, hello)
+        self._admission.on_handshake(session.link.identity, hello)
         if warning := self._admission.clock_warning():
             self.log_once(warning)
         if hello.role == "host" and hello.revoked < self._admission.number:
@@ -338,7 +337,7 @@ class LinkManager:
             self._on_linked(session, hello)
             return
         session.link.count_in(self.monitor.observers)
-        pushed = self._observers.admit(session, str(session.link.who))
+        pushed = self._observers.admit(session, str(session.link.identity))
         if pushed is not None:
             pushed.reject(f"over {MAX_OBSERVERS} {TOO_MANY_OBSERVERS}")
 

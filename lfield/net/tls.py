@@ -1,7 +1,7 @@
 """TLS 1.3 with mutual authentication for one link. Sans-IO: bytes in, bytes and plain text out.
 
 OpenSSL checks the signature of the team's CA, but not the validity period, which
-`lfield.authority.peer_verification` checks. `who` is the peer, a stranger until both certificates are
+`lfield.authority.peer_verification` checks. `identity` is the peer, a stranger until both certificates are
 verified. Before that no application data is sent.
 
 Between two processes that had a link, the next link resumes its session (RFC 8446, 2.2): without
@@ -61,7 +61,7 @@ class TlsIdentity:
     OpenSSL cannot use.
     """
 
-    def __init__(self, keys: Keys, on_verified: OnVerified = lambda certificate, who: None) -> None:
+    def __init__(self, keys: Keys, on_verified: OnVerified = lambda certificate, identity: None) -> None:
         self._on_verified = on_verified
         self._calling, self._called = (
             ssl.SSLContext(side) for side in (ssl.PROTOCOL_TLS_CLIENT, ssl.PROTOCOL_TLS_SERVER)
@@ -85,7 +85,7 @@ class TlsIdentity:
                 list(near.receive(far.data_to_send()))
         except LfieldError as error:
             raise KeysError(f"keys rejected for a host: {error}") from None
-        return far.who
+        return far.identity
 
     def channel(self, *, calls: bool, address: str = "") -> TlsChannel:
         """One end of a new link, accepting or dialling; `address` is the dialled address."""
@@ -122,7 +122,7 @@ class TlsChannel:
         self._tls = context.wrap_bio(self._incoming, self.outgoing, server_side=not calls, session=session)
         self._has_received = 0
         #: The peer; a stranger until authenticated.
-        self.who: Identity = ANONYMOUS
+        self.identity: Identity = ANONYMOUS
         self.proven = False
         if calls:
             self._do_handshake()
@@ -196,9 +196,9 @@ class TlsChannel:
             self._tls.do_handshake()
         except ssl.SSLWantReadError:
             return False
-        self.who, self.proven = identity_of(self._tls.getpeercert() or {}), True
-        if self.who.kind != "stranger":
-            self._on_verified(self._tls.getpeercert(binary_form=True) or b"", self.who)
+        self.identity, self.proven = identity_of(self._tls.getpeercert() or {}), True
+        if self.identity.kind != "stranger":
+            self._on_verified(self._tls.getpeercert(binary_form=True) or b"", self.identity)
         return True
 
 

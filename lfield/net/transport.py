@@ -67,7 +67,7 @@ class Link(Protocol):
         """The address of the peer, for messages."""
 
     @property
-    def who(self) -> Identity:
+    def identity(self) -> Identity:
         """The authenticated peer. The dialling side knows it when the link is made; the accepting side may
         see a stranger until the first message."""
 
