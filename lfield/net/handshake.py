@@ -107,10 +107,10 @@ class Handshake:
         if self.peer is None:
             raise WireError(f"received {type(message).__name__} before the handshake")
         if self.peer.role == "observer" and (
-            why := missing_permission(self.identity, self.decision, message)
+            reason := missing_permission(self.identity, self.decision, message)
         ):
-            self.refusal = HandshakeRefused(why)
-            raise HandshakeError(why)
+            self.refusal = HandshakeRefused(reason)
+            raise HandshakeError(reason)
 
     def _check_identity(self, hello: Hello) -> None:
         """The claimed identity must not exceed the authenticated one."""
@@ -159,18 +159,18 @@ class Handshake:
         """
         if "observer" in (self.own.role, hello.role):
             return
-        different, remedy = self._first_difference(hello)
+        part_name, remedy = self._first_difference(hello)
         is_other_bundle = self.own.bundle and hello.bundle and self.own.bundle != hello.bundle
-        if not (different or is_other_bundle):
+        if not (part_name or is_other_bundle):
             return
-        self.refused_bundle = theirs = hello.bundle or hello.built
-        ours = self.own.bundle or self.own.built
-        if ours and theirs and ours != theirs:
-            part = f", which differ in their {different}" if different else ""
+        self.refused_bundle = peer_bundle = hello.bundle or hello.built
+        own_bundle = self.own.bundle or self.own.built
+        if own_bundle and peer_bundle and own_bundle != peer_bundle:
+            difference = f", which differ in their {part_name}" if part_name else ""
             self._refuse(
-                f"{self.own.host} runs bundle {short_digest(ours)} and {hello.host} runs bundle "
-                f"{short_digest(theirs)}{part}: copy one of the two to both, and give a robot what is its "
-                "own with --devices"
+                f"{self.own.host} runs bundle {short_digest(own_bundle)} and {hello.host} runs bundle "
+                f"{short_digest(peer_bundle)}{difference}: copy one of the two to both, and give a robot "
+                "what is its own with --devices"
             )
         self._refuse(remedy)
 
@@ -187,11 +187,12 @@ class Handshake:
             ),
             ("access rules", self.own.access, hello.access, "the same .access.yaml file"),
         )
-        for what, ours, theirs, remedy in pairs:
-            if ours != theirs:
-                return what, (
-                    f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
-                    f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
+        for part, own_digest, peer_digest, source in pairs:
+            if own_digest != peer_digest:
+                return part, (
+                    f"{self.own.host} has {part} {own_digest.hex()[:12] or '(none)'} and {hello.host} has "
+                    f"{part} {peer_digest.hex()[:12] or '(none)'}; start both from {source}, or from "
+                    "one bundle"
                 )
         return "", ""
 
@@ -217,19 +218,21 @@ class Handshake:
     def _check_recovery(self, hello: Hello) -> None:
         """Majorities of different member sets need not intersect."""
         if "observer" not in (self.own.role, hello.role) and self.own.recovery != hello.recovery:
-            ours, theirs = self.own.recovery or "no host", hello.recovery or "no host"
+            own_members, peer_members = self.own.recovery or "no host", hello.recovery or "no host"
             self._refuse(
-                f"on {self.own.host} coordinators are recovered by {ours} and on {hello.host} by {theirs}; "
-                "give both the same 'recovery' in their devices files"
+                f"on {self.own.host} coordinators are recovered by {own_members} and on {hello.host} by "
+                f"{peer_members}; give both the same 'recovery' in their devices files"
             )
 
     def _check_origin(self, hello: Hello) -> None:
         """Different map origins send a device to different places."""
         if "observer" not in (self.own.role, hello.role) and self.own.origin != hello.origin:
-            ours, theirs = (f"from {o}" if o else "from each home" for o in (self.own.origin, hello.origin))
+            own_origin, peer_origin = (
+                f"from {origin}" if origin else "from each home" for origin in (self.own.origin, hello.origin)
+            )
             self._refuse(
-                f"{self.own.host} counts places {ours} and {hello.host} {theirs}; give both the same "
-                "'frame: {origin: ...}' in their devices files"
+                f"{self.own.host} counts places {own_origin} and {hello.host} {peer_origin}; give both the "
+                "same 'frame: {origin: ...}' in their devices files"
             )
 
     def _check_reservation(self, hello: Hello) -> None:

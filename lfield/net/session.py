@@ -89,7 +89,7 @@ class Session:
         self.dialled = dialled
         self.connected = False
         #: The time when the link was made, and when the peer accepted it.
-        self.made, self.linked_at = self._now(), math.inf
+        self.made_at, self.linked_at = self._now(), math.inf
         self.hello: Hello | None = None
         #: The time when data last arrived, and when this host last had no use for the link.
         self.last_received = self.last_idle = 0.0
@@ -194,7 +194,7 @@ class Session:
         if (
             self.dialled is None
             and hello.role == "host"
-            and self._owner.prefers_outgoing(hello.host, self.made)
+            and self._owner.prefers_outgoing(hello.host, self.made_at)
         ):
             link.close()
             return
@@ -260,8 +260,10 @@ class Session:
         if isinstance(error, HandshakeError) and not self.linked:
             self._report_refusal()
         # The end of an observer's link is not logged.
-        went = self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
-        if error and not self.dialled and not went and not isinstance(error, CpuBudgetExceeded):
+        is_observer_end = (
+            self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
+        )
+        if error and not self.dialled and not is_observer_end and not isinstance(error, CpuBudgetExceeded):
             # The log has the address without the port, which differs for each attempt.
             self._log_once(error.reason if isinstance(error, AddressError) else str(error))
         self._owner.on_link_closed(self)
@@ -271,12 +273,12 @@ class Session:
     def on_reauthorised(self, verdict: AdmissionDecision) -> None:
         """Apply a changed authorisation: close the link, or reduce its permissions."""
         self._handshake.reauthorise(verdict)
-        identity, why = self.link.identity, verdict.why
+        identity, reason = self.link.identity, verdict.why
         if verdict.extent == "nothing":
-            self._owner.log_once(log_messages.PEER_REFUSED.line(peer=identity, reason=why))
-            self.close_with_error(why)
-        elif why:
-            self._owner.log_once(log_messages.PEER_RESTRICTED.line(peer=identity, reason=why))
+            self._owner.log_once(log_messages.PEER_REFUSED.line(peer=identity, reason=reason))
+            self.close_with_error(reason)
+        elif reason:
+            self._owner.log_once(log_messages.PEER_RESTRICTED.line(peer=identity, reason=reason))
 
     def close_with_error(self, reason: str) -> None:
         """Send the reason, and close the link."""

@@ -217,13 +217,13 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
         name = transport.get_extra_info("peername")
         self.peer = CLOSED_PEER if name is None else socket_address(name)
-        made = transport.get_extra_info("socket")
-        if made.family == socket.AF_UNIX:
-            self.identity = identity_of_listener(made) if self._calls else identity_of_caller(made)
+        sock = transport.get_extra_info("socket")
+        if sock.family == socket.AF_UNIX:
+            self.identity = identity_of_listener(sock) if self._calls else identity_of_caller(sock)
             self.mark_local()
         else:
-            set_options(made)
-            self._socket = made
+            set_options(sock)
+            self._socket = sock
             if is_this_computer(self.peer):
                 self.mark_local()
             self.identity = self._identify(self.peer)

@@ -78,14 +78,14 @@ class TlsIdentity:
 
     def own_identity(self) -> Identity:
         """The identity of a host with these keys, checked by a handshake with itself. Raises KeysError."""
-        near, far = self.channel(calls=True), self.channel(calls=False)
+        calling, called = self.channel(calls=True), self.channel(calls=False)
         try:
-            while not far.proven and (said := near.data_to_send()):
-                list(far.receive(said))
-                list(near.receive(far.data_to_send()))
+            while not called.proven and (outgoing := calling.data_to_send()):
+                list(called.receive(outgoing))
+                list(calling.receive(called.data_to_send()))
         except LfieldError as error:
             raise KeysError(f"keys rejected for a host: {error}") from None
-        return far.identity
+        return called.identity
 
     def channel(self, *, calls: bool, address: str = "") -> TlsChannel:
         """One end of a new link, accepting or dialling; `address` is the dialled address."""
@@ -184,12 +184,15 @@ class TlsChannel:
         """
         if self._has_received == 0 and len(data) and data[0] != _HANDSHAKE:
             raise WireError("received data is not TLS: the peer is not an lfield host, or an outdated one")
-        part, rest = data[: MAX_HANDSHAKE - self._has_received], data[MAX_HANDSHAKE - self._has_received :]
+        part, remaining = (
+            data[: MAX_HANDSHAKE - self._has_received],
+            data[MAX_HANDSHAKE - self._has_received :],
+        )
         self._has_received += len(part)
         self._incoming.write(part)
-        if not self._do_handshake() and len(rest):
+        if not self._do_handshake() and len(remaining):
             raise WireError(f"over {MAX_HANDSHAKE} bytes received before authentication")
-        return rest
+        return remaining
 
     def _do_handshake(self) -> bool:
         try:

@@ -94,8 +94,8 @@ HOLES = (
     Hole(
         "the user at the Unix socket is not determined",
         "net/stream_link.py",
-        "self.identity = identity_of_listener(made) if self._calls else identity_of_caller(made)",
-        "self.identity = identity_of_listener(made)",
+        "self.identity = identity_of_listener(sock) if self._calls else identity_of_caller(sock)",
+        "self.identity = identity_of_listener(sock)",
         "at_the_door",
     ),
     Hole(

@@ -81,8 +81,8 @@ class StandbyLinks:
     ) -> None:
         self._owner, self._transport, self._addresses = owner, transport, team.addresses
         self._admission, self.now = admission, owner.now
-        self._numbers, self._here = team.hosts, team.here
-        own = next(host for host, number in team.hosts.items() if number == team.here)
+        self._numbers, self._own_number = team.hosts, team.own_number
+        own = next(host for host, number in team.hosts.items() if number == team.own_number)
         self._hello = Hello("standby", own, 0)
         self._paths: dict[str, _HostPaths] = {}
         self._ticker: asyncio.Task[None] | None = None
@@ -255,7 +255,7 @@ class StandbyLinks:
         The side that dialled the link dials the standby; the accepting side does so only if its own address
         leaves no choice.
         """
-        if session.dialled is None and len(split_addresses(self._addresses[self._here])) > 1:
+        if session.dialled is None and len(split_addresses(self._addresses[self._own_number])) > 1:
             return []
         addresses = split_addresses(self._addresses[self._numbers[host]])
         if len(addresses) < 2:

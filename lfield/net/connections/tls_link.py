@@ -80,8 +80,8 @@ class TlsLink(StreamLink):
             self._process_coming(coming)
             return
         self._remaining = coming
-        strangers, is_answered, self.is_answered = self._scheduler.handshakes, self.is_answered, True
-        strangers.add(self, self._source, is_answered=is_answered)
+        handshakes, is_answered, self.is_answered = self._scheduler.handshakes, self.is_answered, True
+        handshakes.add(self, self._source, is_answered=is_answered)
         self._update_reading()
 
     def receive_frame(self, data: Buffer) -> bool:
