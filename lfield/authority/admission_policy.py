@@ -108,7 +108,7 @@ class CertificateAdmission(AdmissionPolicy):
         time.on_signature(revoked.at, f"revocation list {revoked.number}")
 
     def decide(self, identity: Identity, *, linked: bool = False, expected: str = "") -> AdmissionDecision:
-        known: PeerStage = "linked" if linked else "greeted" if identity.serial in self._greeted else "new"
+        stage: PeerStage = "linked" if linked else "greeted" if identity.serial in self._greeted else "new"
         if identity.authority == self.own.authority:
             # The CA issues no certificate with a notBefore in the future.
             self.time.on_signature(identity.valid_from, f"the certificate of {identity}")
@@ -118,15 +118,15 @@ class CertificateAdmission(AdmissionPolicy):
             at=self.time.now(),
             authority=self.own.authority,
             revoked=self.revoked,
-            known=known,
+            known=stage,
             expected=expected,
         )
         # Every link is verified every second; whether a vehicle flies is looked up only when it matters.
-        found = judge(is_mission_active=False)
-        if found.extent != "all" and known != "new":
-            found = judge(is_mission_active=self.is_mission_active())
-        barred = self.denied_rights(identity)
-        return AdmissionDecision(found.extent, found.why, barred) if barred else found
+        decision = judge(is_mission_active=False)
+        if decision.extent != "all" and stage != "new":
+            decision = judge(is_mission_active=self.is_mission_active())
+        denied_rights = self.denied_rights(identity)
+        return AdmissionDecision(decision.extent, decision.why, denied_rights) if denied_rights else decision
 
     def sign_hello(self, hello: Hello) -> Hello:
         return replace(hello, time=self.time.for_handshake(), revoked=self.number)
@@ -155,17 +155,17 @@ class CertificateAdmission(AdmissionPolicy):
         received = log_messages.CRL_RECEIVED.line(number=read.number)
         return received, *(_missing_revocations(own, read) if newer else _missing_revocations(read, own))
 
-    def on_list_stored(self, why: str) -> None:
-        """Handle the result of storing the own list: success ('') or a failure (`why`)."""
+    def on_list_stored(self, reason: str) -> None:
+        """Handle the result of storing the own list: success ('') or a failure (`reason`)."""
         line = log_messages.CRL_STORED.line(number=self.number)
-        if why:
+        if reason:
             known = {self._greeted[serial] for serial in self.revoked.serials & self._greeted.keys()}
             holders = ", ".join(sorted(known))
-            line = log_messages.CRL_NOT_STORED.line(number=self.number, reason=why, holders=holders)
-        trouble = str(line) if why else ""
-        if trouble != self.persist_error:
+            line = log_messages.CRL_NOT_STORED.line(number=self.number, reason=reason, holders=holders)
+        problem = str(line) if reason else ""
+        if problem != self.persist_error:
             self.note(line)
-        self.persist_error = trouble
+        self.persist_error = problem
 
     def clock_warning(self) -> LogLine | None:
         return self.time.warning()

@@ -76,14 +76,14 @@ def verify_bundle(digest: bytes, signature: bytes, authority: bytes) -> BundleSi
     try:
         seal = _decoder.decode(signature)
         identity = identity_in_der(seal.certificate, authority)
-        sound = is_signed_by(
+        is_valid = is_signed_by(
             certificate_in_der(seal.certificate), seal.signature, _signed_text(digest, seal.at)
         )
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise SignatureError("its signature cannot be read: sign it again with 'lfield sign'") from None
     except KeysError as error:
         raise SignatureError(f"its signature is not accepted: {error}") from None
-    if not sound:
+    if not is_valid:
         raise SignatureError(
             f"it has changed after {identity} signed it: copy it again, or sign it with 'lfield sign'"
         )

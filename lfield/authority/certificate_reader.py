@@ -60,9 +60,9 @@ def identity_of_certificate(certificate: x509.Certificate, authority: bytes) -> 
     try:
         certificate.verify_directly_issued_by(trusted)
     except (InvalidSignature, ValueError, TypeError, UnsupportedAlgorithm):
-        ours = fingerprint_of(public_in(trusted))[:12]
+        own_ca = fingerprint_of(public_in(trusted))[:12]
         raise KeysError(
-            f"the certificate is not of this authority ({ours}): give everybody keys of one authority"
+            f"the certificate is not of this authority ({own_ca}): give everybody keys of one authority"
         ) from None
     return parse_or_error(
         _CERTIFICATE, lambda: _verified_identity(certificate, fingerprint_of(public_in(trusted)))

@@ -76,10 +76,10 @@ class Ledger:
     def make(self, holder: Holder, name: str, may: Iterable[Right], at: float, ends: float) -> LedgerKeys:
         """Make keys for a host or person without valid ones. Raises KeysError."""
         require_name(name)
-        if good := [row.identity for row in self._rows_of(holder, name, at) if row.state == "good"]:
+        if valid := [row.identity for row in self._rows_of(holder, name, at) if row.state == "good"]:
             raise KeysError(
-                f"{good[-1]} has keys until {format_time(good[-1].valid_until)}: 'lfield keys renew {holder} "
-                f"{name}' "
+                f"{valid[-1]} has keys until {format_time(valid[-1].valid_until)}: 'lfield keys renew "
+                f"{holder} {name}' "
                 f"makes them last longer, 'lfield keys revoke {holder} {name}' ends them"
                 + (", and then there can be some with other rights" if holder == "person" else "")
             )
@@ -228,14 +228,14 @@ def issued_hosts(folder: Path) -> frozenset[str]:
 
 def create_ledger(folder: Path, at: float, ends: float) -> Ledger:
     """Create a CA in a folder that has none, valid from now (`at`) until `ends`. Raises KeysError."""
-    made = new_authority(at, ends)
+    ca = new_authority(at, ends)
     with lock_private_folder(folder):
         if (folder / KEY).exists() or (folder / AUTHORITY).exists():
             raise KeysError(f"{folder} has an authority already: name another folder")
-        write_private(folder / KEY, made.key, 0o600, durable=True)
-        folders.write_crl(folder, made.revocation_list(RevocationList(at=at)))
-        write_private(folder / AUTHORITY, made.certificate, 0o644, durable=True)
-    return Ledger(folder, made)
+        write_private(folder / KEY, ca.key, 0o600, durable=True)
+        folders.write_crl(folder, ca.revocation_list(RevocationList(at=at)))
+        write_private(folder / AUTHORITY, ca.certificate, 0o644, durable=True)
+    return Ledger(folder, ca)
 
 
 @contextmanager

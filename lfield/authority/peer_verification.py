@@ -72,10 +72,10 @@ class AdmissionDecision:
 
     def remaining_rights(self, may: frozenset[Right]) -> frozenset[Right]:
         """The remaining rights of a peer."""
-        left = (
+        remaining = (
             may if self.extent == "all" else may & _FINISHING_RIGHTS if self.extent == "finish" else NO_RIGHTS
         )
-        return left - self.denied_rights.keys()
+        return remaining - self.denied_rights.keys()
 
 
 ALLOWED = AdmissionDecision("all")
@@ -102,9 +102,9 @@ def verify_peer(
     if identity.serial in revoked.serials:
         rights = f" --may {sorted_rights(identity.may) or '...'}" if identity.kind == "person" else ""
         make = f"make new ones with 'lfield keys {_certificate_noun(identity)}{rights}'"
-        why = f"the keys of {identity} are revoked (list {revoked.number}): {make}"
+        reason = f"the keys of {identity} are revoked (list {revoked.number}): {make}"
         stays = identity.kind == "host" and known == "linked" and is_mission_active
-        return AdmissionDecision("finish" if stays else "nothing", why)
+        return AdmissionDecision("finish" if stays else "nothing", reason)
     if at < identity.valid_from:
         return AdmissionDecision(
             "nothing",
@@ -112,12 +112,12 @@ def verify_peer(
             f"{format_time(at)}: set the clock",
         )
     if at >= identity.valid_until:
-        why = (
+        reason = (
             f"the certificate of {identity} expired {format_time(identity.valid_until)}, and the clock here "
             f"shows {_day(at)}: set the clock if it is wrong, else renew it with 'lfield keys renew "
             f"{_certificate_noun(identity)}'"
         )
-        return AdmissionDecision("finish" if known != "new" and is_mission_active else "nothing", why)
+        return AdmissionDecision("finish" if known != "new" and is_mission_active else "nothing", reason)
     return ALLOWED
 
 
@@ -138,22 +138,22 @@ def verify_signer(
     if foreign := _foreign(identity, authority, ""):
         return AdmissionDecision("nothing", foreign)
     if identity.kind != "person" or Right.COMMAND not in identity.may:
-        why = f"{identity} may not sign bundles: that takes keys that may 'command'"
-        return AdmissionDecision("nothing", why)
+        reason = f"{identity} may not sign bundles: that takes keys that may 'command'"
+        return AdmissionDecision("nothing", reason)
     if not identity.valid_from <= signed < identity.valid_until:
         return AdmissionDecision(
             "nothing",
             f"it was signed {format_time(signed)}, when the certificate of {identity} was not valid",
         )
     sign = "sign it again with 'lfield sign', with keys that may 'command'"
-    why = ""
+    reason = ""
     if identity.serial in revoked.serials:
-        why = f"the keys of its signer {identity} are revoked (list {revoked.number}): {sign}"
+        reason = f"the keys of its signer {identity} are revoked (list {revoked.number}): {sign}"
     elif at >= identity.valid_until:
         clock = f"the clock here shows {format_time(at)}, and the bundle was signed {format_time(signed)}"
         ended = f"the certificate of its signer {identity} expired {format_time(identity.valid_until)}"
-        why = f"{ended}; {clock}: set the clock if it is wrong, else {sign}"
-    return AdmissionDecision("all" if runs or not why else "nothing", why)
+        reason = f"{ended}; {clock}: set the clock if it is wrong, else {sign}"
+    return AdmissionDecision("all" if runs or not reason else "nothing", reason)
 
 
 def format_time(at: float) -> str:

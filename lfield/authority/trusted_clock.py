@@ -71,9 +71,9 @@ class TrustedClock:
         behind = self.now() - self._clock.time()
         if behind < MIN_WARNING:
             return None
-        why = max(self._signed, self._from_peers)[1]
-        if why == self._warning:
+        evidence = max(self._signed, self._from_peers)[1]
+        if evidence == self._warning:
             return None
-        self._warning = why
-        shown, least = format_time(self._clock.time()), format_time(self.now())
-        return log_messages.CLOCK_BEHIND.line(shown=shown, least=least, evidence=why)
+        self._warning = evidence
+        system_time, minimum_time = format_time(self._clock.time()), format_time(self.now())
+        return log_messages.CLOCK_BEHIND.line(shown=system_time, least=minimum_time, evidence=evidence)

@@ -132,7 +132,7 @@ class TeamActions:
         confirmed: list[str] = []
         unconfirmed: dict[str, str] = {}
         unreached: dict[str, str] = {}
-        troubles: dict[str, str] = {}
+        problems: dict[str, str] = {}
         number = self._observer.on_order(order, self._connection.locate.hosts)
         on_answer = partial(self._observer.on_answer, number)
         answers = await self._connection.order(request, self._standing, on_answer)
@@ -143,8 +143,8 @@ class TeamActions:
             confirmed += [device for device, problem in answer.devices.items() if not problem]
             unconfirmed |= {device: problem for device, problem in answer.devices.items() if problem}
             if answer.trouble:
-                troubles[host] = answer.trouble
-        return OrderOutcome(order, tuple(confirmed), unconfirmed, unreached, troubles)
+                problems[host] = answer.trouble
+        return OrderOutcome(order, tuple(confirmed), unconfirmed, unreached, problems)
 
     async def enter(self, host: str, agent: str, text: str) -> str:
         """See `OperatorActions.enter`."""

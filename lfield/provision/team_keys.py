@@ -41,8 +41,8 @@ def team_keys(folder: Path, names: Iterable[str], now: float) -> dict[str, tuple
 def replaced_keys(folder: Path, name: str, now: float) -> tuple[RobotFile, ...]:
     """New keys for a host, whose private key is neither on this desk nor on the robot. Raises KeysError."""
     with open_ledger(folder) as ledger:
-        made = ledger.renew("host", name, now, now + VALIDITY, new_key=True)
-        return _files(name, read_keys(made.folder, "host"))
+        ledger_keys = ledger.renew("host", name, now, now + VALIDITY, new_key=True)
+        return _files(name, read_keys(ledger_keys.folder, "host"))
 
 
 def keys_folder(name: str) -> str:

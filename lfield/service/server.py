@@ -58,7 +58,7 @@ class ServiceServer:
         self.now: Callable[[], float] = clock.monotonic
         self._log = RateLimitedLog(handler.note, self.now)
         self._ungreeted: ConnectionLimiter[Session] = ConnectionLimiter(
-            MAX_HANDSHAKES, rng, lambda one: one.link.is_answered
+            MAX_HANDSHAKES, rng, lambda session: session.link.is_answered
         )
         self._peers: ConnectionLimiter[Session] = ConnectionLimiter(MAX_PEERS, rng)
         self._listeners: list[Listener] = []

@@ -81,8 +81,8 @@ class LinkActivity:
 
 
 class LinkMonitor:
-    """The links of host number `own_number`; `hosts` are all hosts with their numbers, and `now` is a monotonic
-    clock, in seconds.
+    """The links of host number `own_number`; `hosts` are all hosts with their numbers, and `now` is a
+    monotonic clock, in seconds.
 
     Heartbeats of hosts carry the timestamps of `hybrid_clock`; heartbeats of idle links are `idle_interval`
     seconds apart.
