@@ -73,14 +73,14 @@ HOLES = (
     Hole(
         "every user at the Unix socket is in the group",
         "net/peer_credentials.py",
-        "{group, *_peer_groups(made)}",
+        "{group, *_peer_groups(unix_socket)}",
         "{_group_id()}",
         "at_the_door",
     ),
     Hole(
         "no user at the Unix socket is in the group",
         "net/peer_credentials.py",
-        "{group, *_peer_groups(made)}",
+        "{group, *_peer_groups(unix_socket)}",
         "{group}",
         "at_the_door",
     ),
