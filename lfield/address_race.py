@@ -49,18 +49,18 @@ class _Race(Generic[Resolved]):
         """See `first_connected`."""
         while self._remaining or self._tasks:
             if self._remaining:
-                found = self._remaining.popleft()
-                self._tasks[asyncio.ensure_future(_connect(*found))] = found, self._now()
+                address = self._remaining.popleft()
+                self._tasks[asyncio.ensure_future(_connect(*address))] = address, self._now()
             for task in await self._wait_ended():
-                found, _ = self._tasks.pop(task)
+                address, _ = self._tasks.pop(task)
                 if task.cancelled():
                     continue
                 error = task.exception()
                 if error is None:
-                    return task.result(), found
+                    return task.result(), address
                 if not isinstance(error, OSError):
                     raise error
-                self._fail(found, error)
+                self._fail(address, error)
         raise next(reversed(self._failures.values()))
 
     async def _wait_ended(self) -> list[asyncio.Task[socket.socket]]:
@@ -75,15 +75,17 @@ class _Race(Generic[Resolved]):
             for task, (_, started) in self._tasks.items():
                 if started <= oldest:
                     task.cancel()
-            self._remaining.extend(dict.fromkeys(found for found, _ in self._tasks.values()))
+            self._remaining.extend(dict.fromkeys(address for address, _ in self._tasks.values()))
         return list(done)
 
-    def _fail(self, found: Resolved, error: OSError) -> None:
+    def _fail(self, address: Resolved, error: OSError) -> None:
         """An address failed: cancel its other attempts."""
-        self._failures[found] = error
-        self._remaining = deque(other for other in self._remaining if other != found)
-        for task, (other, _) in self._tasks.items():
-            if other == found:
+        self._failures[address] = error
+        self._remaining = deque(
+            other_address for other_address in self._remaining if other_address != address
+        )
+        for task, (other_address, _) in self._tasks.items():
+            if other_address == address:
                 task.cancel()
 
     def close(self) -> None:
@@ -115,22 +117,22 @@ async def _connect(family: int, address: tuple[Any, ...]) -> socket.socket:
     """Connect one socket. The loop's `sock_connect` is not used, because it loses the scope id of an IPv6
     address.
     """
-    made = socket.socket(family, socket.SOCK_STREAM)
+    connection = socket.socket(family, socket.SOCK_STREAM)
     try:
-        made.setblocking(False)
-        error = made.connect_ex(address)
+        connection.setblocking(False)
+        error = connection.connect_ex(address)
         if error == errno.EINPROGRESS:
-            await _writable(made)
-            error = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            await _writable(connection)
+            error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if error:
             raise OSError(error, os.strerror(error))
     except BaseException:
-        made.close()
+        connection.close()
         raise
-    return made
+    return connection
 
 
-async def _writable(made: socket.socket) -> None:
+async def _writable(connection: socket.socket) -> None:
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
 
@@ -138,11 +140,11 @@ async def _writable(made: socket.socket) -> None:
         if not done.done():
             done.set_result(None)
 
-    loop.add_writer(made.fileno(), ready)
+    loop.add_writer(connection.fileno(), ready)
     try:
         await done
     finally:
-        loop.remove_writer(made.fileno())
+        loop.remove_writer(connection.fileno())
 
 
 def _close(task: asyncio.Task[socket.socket]) -> None:

@@ -45,7 +45,7 @@ class AdmissionPolicy:
         #: Receives log lines.
         self.note: Callable[[LogLine], None] = lambda line: None
         #: The rights that the mission denies a peer, with the rule in a sentence.
-        self.denied_rights: Callable[[Identity], Mapping[Right, str]] = lambda who: {}
+        self.denied_rights: Callable[[Identity], Mapping[Right, str]] = lambda identity: {}
 
     def serve(
         self,
@@ -56,7 +56,7 @@ class AdmissionPolicy:
         """Set the callbacks of the host."""
         self.is_mission_active, self.denied_rights, self.note = is_mission_active, denied_rights, note
 
-    def decide(self, who: Identity, *, linked: bool = False, expected: str = "") -> AdmissionDecision:
+    def decide(self, identity: Identity, *, linked: bool = False, expected: str = "") -> AdmissionDecision:
         """The decision about a peer now; `linked`: it has a link between hosts. `expected` is the dialled
         host."""
         return ALLOWED
@@ -65,7 +65,7 @@ class AdmissionPolicy:
         """Add this host's time and revocation list to a hello message."""
         return hello
 
-    def on_handshake(self, who: Identity, hello: Hello) -> None:
+    def on_handshake(self, identity: Identity, hello: Hello) -> None:
         """Record a peer that has completed its handshake."""
 
     def on_revocation_list(self, data: bytes) -> Sequence[LogLine]:
@@ -107,33 +107,33 @@ class CertificateAdmission(AdmissionPolicy):
         time.on_signature(own.valid_from, f"the certificate of {own}")
         time.on_signature(revoked.at, f"revocation list {revoked.number}")
 
-    def decide(self, who: Identity, *, linked: bool = False, expected: str = "") -> AdmissionDecision:
-        known: PeerStage = "linked" if linked else "greeted" if who.serial in self._greeted else "new"
-        if who.authority == self.own.authority:
+    def decide(self, identity: Identity, *, linked: bool = False, expected: str = "") -> AdmissionDecision:
+        stage: PeerStage = "linked" if linked else "greeted" if identity.serial in self._greeted else "new"
+        if identity.authority == self.own.authority:
             # The CA issues no certificate with a notBefore in the future.
-            self.time.on_signature(who.valid_from, f"the certificate of {who}")
+            self.time.on_signature(identity.valid_from, f"the certificate of {identity}")
         judge = partial(
             verify_peer,
-            who,
+            identity,
             at=self.time.now(),
             authority=self.own.authority,
             revoked=self.revoked,
-            known=known,
+            known=stage,
             expected=expected,
         )
         # Every link is verified every second; whether a vehicle flies is looked up only when it matters.
-        found = judge(is_mission_active=False)
-        if found.extent != "all" and known != "new":
-            found = judge(is_mission_active=self.is_mission_active())
-        barred = self.denied_rights(who)
-        return AdmissionDecision(found.extent, found.why, barred) if barred else found
+        decision = judge(is_mission_active=False)
+        if decision.extent != "all" and stage != "new":
+            decision = judge(is_mission_active=self.is_mission_active())
+        denied_rights = self.denied_rights(identity)
+        return AdmissionDecision(decision.extent, decision.why, denied_rights) if denied_rights else decision
 
     def sign_hello(self, hello: Hello) -> Hello:
         return replace(hello, time=self.time.for_handshake(), revoked=self.number)
 
-    def on_handshake(self, who: Identity, hello: Hello) -> None:
-        self.time.on_peer_time(hello.time, who)
-        self._greeted[who.serial] = str(who)
+    def on_handshake(self, identity: Identity, hello: Hello) -> None:
+        self.time.on_peer_time(hello.time, identity)
+        self._greeted[identity.serial] = str(identity)
 
     def on_revocation_list(self, data: bytes) -> Sequence[LogLine]:
         if data == self.list or (digest := sha256(data).digest()) in self._outdated:
@@ -155,17 +155,17 @@ class CertificateAdmission(AdmissionPolicy):
         received = log_messages.CRL_RECEIVED.line(number=read.number)
         return received, *(_missing_revocations(own, read) if newer else _missing_revocations(read, own))
 
-    def on_list_stored(self, why: str) -> None:
-        """Handle the result of storing the own list: success ('') or a failure (`why`)."""
+    def on_list_stored(self, reason: str) -> None:
+        """Handle the result of storing the own list: success ('') or a failure (`reason`)."""
         line = log_messages.CRL_STORED.line(number=self.number)
-        if why:
+        if reason:
             known = {self._greeted[serial] for serial in self.revoked.serials & self._greeted.keys()}
             holders = ", ".join(sorted(known))
-            line = log_messages.CRL_NOT_STORED.line(number=self.number, reason=why, holders=holders)
-        trouble = str(line) if why else ""
-        if trouble != self.persist_error:
+            line = log_messages.CRL_NOT_STORED.line(number=self.number, reason=reason, holders=holders)
+        problem = str(line) if reason else ""
+        if problem != self.persist_error:
             self.note(line)
-        self.persist_error = trouble
+        self.persist_error = problem
 
     def clock_warning(self) -> LogLine | None:
         return self.time.warning()

@@ -40,7 +40,7 @@ class _Seal(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
 class BundleSignature(NamedTuple):
     """The signer of a bundle, and the time of signing by the signer's clock, in seconds since 1970 UTC."""
 
-    who: Identity
+    identity: Identity
     at: float
 
 
@@ -50,15 +50,15 @@ _decoder = msgspec.msgpack.Decoder(_Seal)
 
 def sign_bundle(digest: bytes, keys: Keys, at: float) -> bytes:
     """Sign a bundle of this digest at the time `at`. Raises KeysError for keys without the right."""
-    who = verify_keys(keys)
-    if Right.COMMAND not in who.may:
+    identity = verify_keys(keys)
+    if Right.COMMAND not in identity.may:
         raise KeysError(
-            f"{who} may not sign bundles: that takes keys that may 'command' ('lfield keys person NAME --may "
-            "command')"
+            f"{identity} may not sign bundles: that takes keys that may 'command' ('lfield keys person NAME "
+            "--may command')"
         )
-    if not who.valid_from <= at < who.valid_until:
+    if not identity.valid_from <= at < identity.valid_until:
         raise KeysError(
-            f"the certificate of {who} is not valid at the present time: set the clock, or renew it"
+            f"the certificate of {identity} is not valid at the present time: set the clock, or renew it"
         )
     second = int(at)
     signature = private_in(keys.key).sign(_signed_text(digest, second))
@@ -75,19 +75,19 @@ def verify_bundle(digest: bytes, signature: bytes, authority: bytes) -> BundleSi
         raise SignatureError("it is not signed: sign it with 'lfield sign', with keys that may 'command'")
     try:
         seal = _decoder.decode(signature)
-        who = identity_in_der(seal.certificate, authority)
-        sound = is_signed_by(
+        identity = identity_in_der(seal.certificate, authority)
+        is_valid = is_signed_by(
             certificate_in_der(seal.certificate), seal.signature, _signed_text(digest, seal.at)
         )
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise SignatureError("its signature cannot be read: sign it again with 'lfield sign'") from None
     except KeysError as error:
         raise SignatureError(f"its signature is not accepted: {error}") from None
-    if not sound:
+    if not is_valid:
         raise SignatureError(
-            f"it has changed after {who} signed it: copy it again, or sign it with 'lfield sign'"
+            f"it has changed after {identity} signed it: copy it again, or sign it with 'lfield sign'"
         )
-    return BundleSignature(who, float(seal.at))
+    return BundleSignature(identity, float(seal.at))
 
 
 def _signed_text(digest: bytes, at: int) -> bytes:

@@ -75,7 +75,7 @@ class CertificateSigner(Generic[_Key]):
 
         Raises KeysError.
         """
-        made = (
+        certificate = (
             certificate_builder(
                 self._certificate.subject, subject_of(subject), public, at, min(ends, self.valid_until)
             )
@@ -88,7 +88,7 @@ class CertificateSigner(Generic[_Key]):
             )
             .sign(self._key, None if isinstance(self._key, Ed25519PrivateKey) else SHA256())
         )
-        return made.public_bytes(serialization.Encoding.PEM)
+        return certificate.public_bytes(serialization.Encoding.PEM)
 
 
 class CertificateAuthority(CertificateSigner[Ed25519PrivateKey]):
@@ -124,8 +124,8 @@ class CertificateAuthority(CertificateSigner[Ed25519PrivateKey]):
         if holder == "host":
             usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
         identity = x509.UniformResourceIdentifier(uri_of(holder, name, may))
-        made = self._signed(f"{holder} {name}", public, at, ends, usages, [identity])
-        return IssuedCertificate(made, private_pem(key) if key is not None else b"")
+        certificate = self._signed(f"{holder} {name}", public, at, ends, usages, [identity])
+        return IssuedCertificate(certificate, private_pem(key) if key is not None else b"")
 
     def renewed(self, at: float, ends: float) -> CertificateAuthority:
         """The same key and name with a CA certificate that is valid longer; issued certificates stay

@@ -60,9 +60,9 @@ def identity_of_certificate(certificate: x509.Certificate, authority: bytes) -> 
     try:
         certificate.verify_directly_issued_by(trusted)
     except (InvalidSignature, ValueError, TypeError, UnsupportedAlgorithm):
-        ours = fingerprint_of(public_in(trusted))[:12]
+        own_ca = fingerprint_of(public_in(trusted))[:12]
         raise KeysError(
-            f"the certificate is not of this authority ({ours}): give everybody keys of one authority"
+            f"the certificate is not of this authority ({own_ca}): give everybody keys of one authority"
         ) from None
     return parse_or_error(
         _CERTIFICATE, lambda: _verified_identity(certificate, fingerprint_of(public_in(trusted)))
@@ -86,18 +86,18 @@ def revoked_in(data: bytes, authority: bytes) -> RevocationList:
 
 def verify_keys(keys: Keys) -> Identity:
     """The identity of the keys. Raises KeysError when key, certificate and CA do not match."""
-    who = identity_in(keys.certificate, keys.authority)
+    identity = identity_in(keys.certificate, keys.authority)
     public = public_in(certificate_in(keys.certificate))
-    if who.kind != keys.holder:
-        raise KeysError(f"the certificate is not that of a {keys.holder}, but of {who}")
+    if identity.kind != keys.holder:
+        raise KeysError(f"the certificate is not that of a {keys.holder}, but of {identity}")
     if fingerprint_of(private_in(keys.key).public_key()) != fingerprint_of(public):
         raise KeysError(
-            f"the private key is not that of the certificate of {who}: copy both again, from the folder "
+            f"the private key is not that of the certificate of {identity}: copy both again, from the folder "
             "that 'lfield keys' has made"
         )
     if keys.revoked:
         revoked_in(keys.revoked, keys.authority)
-    return who
+    return identity
 
 
 def _verified_identity(certificate: x509.Certificate, authority: str) -> Identity:

@@ -28,11 +28,11 @@ class EphemeralCa:
     @staticmethod
     def for_hosts(names: Iterable[str], at: float, operator: str = "operator") -> EphemeralCa:
         """Keys for hosts of these names, from now (`at`, seconds since 1970 UTC) on."""
-        made = new_authority(at, at + LIFETIME)
+        ca = new_authority(at, at + LIFETIME)
         return EphemeralCa(
-            made.certificate,
-            {name: _keys(made, "host", name, at) for name in names},
-            _keys(made, "person", operator, at),
+            ca.certificate,
+            {name: _keys(ca, "host", name, at) for name in names},
+            _keys(ca, "person", operator, at),
         )
 
 

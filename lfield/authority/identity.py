@@ -77,8 +77,8 @@ ANONYMOUS = Identity("stranger", "", NO_RIGHTS)
 
 def with_implied(rights: Iterable[Right]) -> frozenset[Right]:
     """Rights with those that they imply; a certificate lists all of them."""
-    given = frozenset(rights)
-    return given.union(*(_IMPLIES.get(right, ()) for right in given))
+    explicit = frozenset(rights)
+    return explicit.union(*(_IMPLIES.get(right, ()) for right in explicit))
 
 
 def sorted_rights(rights: Iterable[Right]) -> str:
@@ -114,11 +114,11 @@ def from_uris(
     uris: Iterable[str], *, serial: int, valid_from: float, valid_until: float, authority: str
 ) -> Identity:
     """The identity from the fields of a certificate that was parsed by other means."""
-    ours = [uri for uri in uris if uri.lower().startswith("lfield:")]
-    if len(ours) != 1:
+    lfield_uris = [uri for uri in uris if uri.lower().startswith("lfield:")]
+    if len(lfield_uris) != 1:
         return ANONYMOUS
     try:
-        kind, name, may = _read(ours[0])
+        kind, name, may = _read(lfield_uris[0])
     except ValueError:
         return ANONYMOUS
     return Identity(kind, name, may, f"{serial:x}", valid_from, valid_until, authority)

@@ -54,29 +54,31 @@ def find_keys(
 
     `named` is the value of --keys. Raises KeysError if a named folder has no such keys.
     """
-    said = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
-    usual = [_entry_path(base, name) for base in _default_folders(system)]
-    for folder in (said, _entry_path(said, name)) if said is not None else usual:
+    named_folder = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
+    default_folders = [_entry_path(base, name) for base in _default_folders(system)]
+    for folder in (
+        (named_folder, _entry_path(named_folder, name)) if named_folder is not None else default_folders
+    ):
         # A folder that this user cannot read counts as missing.
         if os.path.exists(folder / certificate_name(holder)):
             return folder
-    if said is not None:
+    if named_folder is not None:
         whose = f"host {name}" if holder == "host" else "a person"
         raise KeysError(
-            f"{said} has no keys of {whose} that this user may read ({certificate_name(holder)}): copy there "
-            f"what 'lfield keys {holder}' has made"
+            f"{named_folder} has no keys of {whose} that this user may read ({certificate_name(holder)}): "
+            f"copy there what 'lfield keys {holder}' has made"
         )
     return None
 
 
 def local_folders(environment: Mapping[str, str], system: Path = SYSTEM) -> list[Path]:
     """Every key folder of this computer that this user can read, those of the system first."""
-    found = []
+    folders = []
     for base in _default_folders(system):
         with suppress(OSError):
-            found += sorted(path for path in base.iterdir() if path.is_dir())
-    said = environment.get(VARIABLE, "")
-    return [*([Path(said)] if said else []), *found]
+            folders += sorted(path for path in base.iterdir() if path.is_dir())
+    variable = environment.get(VARIABLE, "")
+    return [*([Path(variable)] if variable else []), *folders]
 
 
 def _default_folders(system: Path) -> list[Path]:

@@ -40,14 +40,14 @@ _SERIAL_LENGTH = 37
 class LedgerRow(NamedTuple):
     """An issued certificate and its state."""
 
-    who: Identity
+    identity: Identity
     state: Literal["good", "ended", "revoked"]
 
 
 class LedgerKeys(NamedTuple):
     """Keys that were made or renewed, and their folder."""
 
-    who: Identity
+    identity: Identity
     folder: Path
 
 
@@ -67,16 +67,19 @@ class Ledger:
 
     def rows(self, at: float) -> list[LedgerRow]:
         """Every issued certificate, by kind and name, oldest first. Raises KeysError."""
-        found = sorted(self._issued(), key=lambda who: (who.kind, who.name, who.valid_from, who.serial))
-        return [LedgerRow(who, self._state(who, at)) for who in found]
+        found = sorted(
+            self._issued(),
+            key=lambda identity: (identity.kind, identity.name, identity.valid_from, identity.serial),
+        )
+        return [LedgerRow(identity, self._state(identity, at)) for identity in found]
 
     def make(self, holder: Holder, name: str, may: Iterable[Right], at: float, ends: float) -> LedgerKeys:
         """Make keys for a host or person without valid ones. Raises KeysError."""
         require_name(name)
-        if good := [row.who for row in self._rows_of(holder, name, at) if row.state == "good"]:
+        if valid := [row.identity for row in self._rows_of(holder, name, at) if row.state == "good"]:
             raise KeysError(
-                f"{good[-1]} has keys until {format_time(good[-1].valid_until)}: 'lfield keys renew {holder} "
-                f"{name}' "
+                f"{valid[-1]} has keys until {format_time(valid[-1].valid_until)}: 'lfield keys renew "
+                f"{holder} {name}' "
                 f"makes them last longer, 'lfield keys revoke {holder} {name}' ends them"
                 + (", and then there can be some with other rights" if holder == "person" else "")
             )
@@ -90,14 +93,14 @@ class Ledger:
 
         Raises KeysError.
         """
-        found = [row.who for row in self._rows_of(holder, name, at) if row.state != "revoked"]
+        found = [row.identity for row in self._rows_of(holder, name, at) if row.state != "revoked"]
         if not found:
             more = " --may ..." if holder == "person" else ""
             raise KeysError(
                 f"{holder} {name} has no keys that are not revoked: 'lfield keys {holder} {name}{more}' "
                 "makes some"
             )
-        newest = max(found, key=lambda who: (who.valid_from, who.valid_until))
+        newest = max(found, key=lambda identity: (identity.valid_from, identity.valid_until))
         old = b"" if new_key else self._certificate(newest.serial)
         return self._issue(holder, name, newest.may, at, ends, old)
 
@@ -111,7 +114,7 @@ class Ledger:
 
     def revoke(self, holder: Holder, name: str, at: float) -> list[Identity]:
         """Revoke all certificates of a holder. Raises KeysError when it has none to revoke."""
-        found = [row.who for row in self._rows_of(holder, name, at) if row.state != "revoked"]
+        found = [row.identity for row in self._rows_of(holder, name, at) if row.state != "revoked"]
         if not found:
             raise KeysError(f"{holder} {name} has no keys of this authority that are not revoked already")
         return self._revoke(found, at)
@@ -124,7 +127,7 @@ class Ledger:
         """
         if _SERIAL.fullmatch(serial) is None:
             raise KeysError(f"'{serial}' is not the number of a certificate: see 'lfield keys list'")
-        found = [who for who in self._issued() if who.serial.startswith(serial)]
+        found = [identity for identity in self._issued() if identity.serial.startswith(serial)]
         if not found and len(serial) >= _SERIAL_LENGTH:
             found = [replace(ANONYMOUS, serial=serial)]
         if len(found) != 1:
@@ -135,7 +138,7 @@ class Ledger:
 
     def _revoke(self, found: list[Identity], at: float) -> list[Identity]:
         self._check_time(at)
-        serials = self.revoked.serials.union(who.serial for who in found)
+        serials = self.revoked.serials.union(identity.serial for identity in found)
         # A number above that of any list that hosts may have, also after the folder was restored from a copy.
         number = max(self.revoked.number + 1, int(at))
         self.revoked = RevocationList(number, serials, at)
@@ -156,18 +159,20 @@ class Ledger:
     ) -> LedgerKeys:
         self._check_time(at)
         issued = self.authority.issue(holder, name, may=may, at=at, ends=ends, renews=renews)
-        who = identity_in(issued.certificate, self.authority.certificate)
-        write_private(self.folder / ISSUED / f"{who.serial}.pem", issued.certificate, 0o644, durable=True)
+        identity = identity_in(issued.certificate, self.authority.certificate)
+        write_private(
+            self.folder / ISSUED / f"{identity.serial}.pem", issued.certificate, 0o644, durable=True
+        )
         folder = self.folder / _FOLDERS[holder] / name
         # An operator sends the list with every command, so an empty one is omitted.
         revoked = self._list if holder == "host" or self.revoked.number else b""
         keys = Keys(holder, self.authority.certificate, issued.certificate, issued.key, revoked)
         folders.write_keys(folder, keys)
-        return LedgerKeys(who, folder)
+        return LedgerKeys(identity, folder)
 
     def _check_time(self, at: float) -> None:
         """Refuse a clock that went backwards: notBefore asserts that the time has passed."""
-        last = max((who.valid_from for who in self._issued()), default=0.0)
+        last = max((identity.valid_from for identity in self._issued()), default=0.0)
         if at < max(last, self.revoked.at) - MIN_WARNING:
             raise KeysError(
                 f"the clock of this computer shows {format_time(at)}, and this authority has issued keys "
@@ -175,19 +180,19 @@ class Ledger:
             )
 
     def _rows_of(self, holder: Holder, name: str, at: float) -> list[LedgerRow]:
-        return [row for row in self.rows(at) if (row.who.kind, row.who.name) == (holder, name)]
+        return [row for row in self.rows(at) if (row.identity.kind, row.identity.name) == (holder, name)]
 
-    def _state(self, who: Identity, at: float) -> Literal["good", "ended", "revoked"]:
-        if who.serial in self.revoked.serials:
+    def _state(self, identity: Identity, at: float) -> Literal["good", "ended", "revoked"]:
+        if identity.serial in self.revoked.serials:
             return "revoked"
-        return "ended" if at >= who.valid_until else "good"
+        return "ended" if at >= identity.valid_until else "good"
 
     def _issued(self) -> Iterator[Identity]:
         for path in sorted((self.folder / ISSUED).glob("*.pem")):
             certificate = self._certificate(path.stem)
             with folders.errors_in(path):
-                who = identity_in(certificate, self.authority.certificate)
-            yield who
+                identity = identity_in(certificate, self.authority.certificate)
+            yield identity
 
     def _certificate(self, serial: str) -> bytes:
         try:
@@ -217,20 +222,20 @@ def issued_hosts(folder: Path) -> frozenset[str]:
         paths = (folder / ISSUED).glob("*.pem")
         holders = (identity_in(read_bytes(path, MAX_PEM), authority) for path in paths)
         with folders.errors_in(folder):
-            return frozenset(who.name for who in holders if who.kind == "host")
+            return frozenset(identity.name for identity in holders if identity.kind == "host")
     return frozenset()
 
 
 def create_ledger(folder: Path, at: float, ends: float) -> Ledger:
     """Create a CA in a folder that has none, valid from now (`at`) until `ends`. Raises KeysError."""
-    made = new_authority(at, ends)
+    ca = new_authority(at, ends)
     with lock_private_folder(folder):
         if (folder / KEY).exists() or (folder / AUTHORITY).exists():
             raise KeysError(f"{folder} has an authority already: name another folder")
-        write_private(folder / KEY, made.key, 0o600, durable=True)
-        folders.write_crl(folder, made.revocation_list(RevocationList(at=at)))
-        write_private(folder / AUTHORITY, made.certificate, 0o644, durable=True)
-    return Ledger(folder, made)
+        write_private(folder / KEY, ca.key, 0o600, durable=True)
+        folders.write_crl(folder, ca.revocation_list(RevocationList(at=at)))
+        write_private(folder / AUTHORITY, ca.certificate, 0o644, durable=True)
+    return Ledger(folder, ca)
 
 
 @contextmanager

@@ -72,17 +72,17 @@ class AdmissionDecision:
 
     def remaining_rights(self, may: frozenset[Right]) -> frozenset[Right]:
         """The remaining rights of a peer."""
-        left = (
+        remaining = (
             may if self.extent == "all" else may & _FINISHING_RIGHTS if self.extent == "finish" else NO_RIGHTS
         )
-        return left - self.denied_rights.keys()
+        return remaining - self.denied_rights.keys()
 
 
 ALLOWED = AdmissionDecision("all")
 
 
 def verify_peer(
-    who: Identity,
+    identity: Identity,
     *,
     at: float,
     authority: str,
@@ -95,34 +95,34 @@ def verify_peer(
 
     `authority` is the fingerprint of the own CA, `expected` the dialled host, '' on the accepting side.
     """
-    if who.kind == "local":
+    if identity.kind == "local":
         return ALLOWED
-    if foreign := _foreign(who, authority, expected):
+    if foreign := _foreign(identity, authority, expected):
         return AdmissionDecision("nothing", foreign)
-    if who.serial in revoked.serials:
-        rights = f" --may {sorted_rights(who.may) or '...'}" if who.kind == "person" else ""
-        make = f"make new ones with 'lfield keys {_certificate_noun(who)}{rights}'"
-        why = f"the keys of {who} are revoked (list {revoked.number}): {make}"
-        stays = who.kind == "host" and known == "linked" and is_mission_active
-        return AdmissionDecision("finish" if stays else "nothing", why)
-    if at < who.valid_from:
+    if identity.serial in revoked.serials:
+        rights = f" --may {sorted_rights(identity.may) or '...'}" if identity.kind == "person" else ""
+        make = f"make new ones with 'lfield keys {_certificate_noun(identity)}{rights}'"
+        reason = f"the keys of {identity} are revoked (list {revoked.number}): {make}"
+        stays = identity.kind == "host" and known == "linked" and is_mission_active
+        return AdmissionDecision("finish" if stays else "nothing", reason)
+    if at < identity.valid_from:
         return AdmissionDecision(
             "nothing",
-            f"the certificate of {who} is valid from {format_time(who.valid_from)}, and here it is "
+            f"the certificate of {identity} is valid from {format_time(identity.valid_from)}, and here it is "
             f"{format_time(at)}: set the clock",
         )
-    if at >= who.valid_until:
-        why = (
-            f"the certificate of {who} expired {format_time(who.valid_until)}, and the clock here shows "
-            f"{_day(at)}: set the clock if it is wrong, else renew it with 'lfield keys renew "
-            f"{_certificate_noun(who)}'"
+    if at >= identity.valid_until:
+        reason = (
+            f"the certificate of {identity} expired {format_time(identity.valid_until)}, and the clock here "
+            f"shows {_day(at)}: set the clock if it is wrong, else renew it with 'lfield keys renew "
+            f"{_certificate_noun(identity)}'"
         )
-        return AdmissionDecision("finish" if known != "new" and is_mission_active else "nothing", why)
+        return AdmissionDecision("finish" if known != "new" and is_mission_active else "nothing", reason)
     return ALLOWED
 
 
 def verify_signer(
-    who: Identity,
+    identity: Identity,
     signed: float,
     *,
     at: float,
@@ -130,29 +130,30 @@ def verify_signer(
     revoked: RevocationList = NONE_REVOKED,
     runs: bool = False,
 ) -> AdmissionDecision:
-    """Whether a bundle that `who` signed at the time `signed` is accepted.
+    """Whether a bundle that `identity` signed at the time `signed` is accepted.
 
     `runs`: this host has started this very bundle before, and its mission is not over. Then neither expiry
     nor revocation of the signer's certificate may leave a vehicle without its program.
     """
-    if foreign := _foreign(who, authority, ""):
+    if foreign := _foreign(identity, authority, ""):
         return AdmissionDecision("nothing", foreign)
-    if who.kind != "person" or Right.COMMAND not in who.may:
-        why = f"{who} may not sign bundles: that takes keys that may 'command'"
-        return AdmissionDecision("nothing", why)
-    if not who.valid_from <= signed < who.valid_until:
+    if identity.kind != "person" or Right.COMMAND not in identity.may:
+        reason = f"{identity} may not sign bundles: that takes keys that may 'command'"
+        return AdmissionDecision("nothing", reason)
+    if not identity.valid_from <= signed < identity.valid_until:
         return AdmissionDecision(
-            "nothing", f"it was signed {format_time(signed)}, when the certificate of {who} was not valid"
+            "nothing",
+            f"it was signed {format_time(signed)}, when the certificate of {identity} was not valid",
         )
     sign = "sign it again with 'lfield sign', with keys that may 'command'"
-    why = ""
-    if who.serial in revoked.serials:
-        why = f"the keys of its signer {who} are revoked (list {revoked.number}): {sign}"
-    elif at >= who.valid_until:
+    reason = ""
+    if identity.serial in revoked.serials:
+        reason = f"the keys of its signer {identity} are revoked (list {revoked.number}): {sign}"
+    elif at >= identity.valid_until:
         clock = f"the clock here shows {format_time(at)}, and the bundle was signed {format_time(signed)}"
-        ended = f"the certificate of its signer {who} expired {format_time(who.valid_until)}"
-        why = f"{ended}; {clock}: set the clock if it is wrong, else {sign}"
-    return AdmissionDecision("all" if runs or not why else "nothing", why)
+        ended = f"the certificate of its signer {identity} expired {format_time(identity.valid_until)}"
+        reason = f"{ended}; {clock}: set the clock if it is wrong, else {sign}"
+    return AdmissionDecision("all" if runs or not reason else "nothing", reason)
 
 
 def format_time(at: float) -> str:
@@ -168,21 +169,21 @@ def _day(at: float) -> str:
     return format_time(at)[: len("2026-11-23")]
 
 
-def _foreign(who: Identity, authority: str, expected: str) -> str:
+def _foreign(identity: Identity, authority: str, expected: str) -> str:
     """The reason why a peer is not a member of the team, or not the expected host; '' for the expected
     host.
     """
-    if who.kind == "stranger":
+    if identity.kind == "stranger":
         return "its certificate names no host and no person: make keys with 'lfield keys'"
-    if who.authority != authority:
+    if identity.authority != authority:
         return (
-            f"the certificate of {who} is of the authority {who.authority[:12] or '(none)'}, and ours is "
-            f"{authority[:12]}: give both keys of one authority"
+            f"the certificate of {identity} is of the authority {identity.authority[:12] or '(none)'}, and "
+            f"ours is {authority[:12]}: give both keys of one authority"
         )
-    if expected and (who.kind, who.name) != ("host", expected):
-        return f"{who} answers at the address of host {expected}: correct the address, or the keys there"
+    if expected and (identity.kind, identity.name) != ("host", expected):
+        return f"{identity} answers at the address of host {expected}: correct the address, or the keys there"
     return ""
 
 
-def _certificate_noun(who: Identity) -> str:
-    return f"{who.kind} {who.name}"
+def _certificate_noun(identity: Identity) -> str:
+    return f"{identity.kind} {identity.name}"

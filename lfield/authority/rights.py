@@ -72,32 +72,32 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
 HOST_RIGHTS = frozenset({Right.OBSERVE, Right.STOP})
 
 
-def missing_permission(who: Identity, verdict: AdmissionDecision, message: Message) -> str:
+def missing_permission(identity: Identity, verdict: AdmissionDecision, message: Message) -> str:
     """The reason why an observer may not send a message, in a sentence; '' if it may."""
     rights = RIGHTS.get(type(message))
     if rights is None:
-        return f"{who} sent a {type(message).__name__}, which only hosts may send"
-    if isinstance(message, BallotHold) and who.kind != "local":
-        return f"{who} may not hold this host for a vote: only the service of the robot does"
+        return f"{identity} sent a {type(message).__name__}, which only hosts may send"
+    if isinstance(message, BallotHold) and identity.kind != "local":
+        return f"{identity} may not hold this host for a vote: only the service of the robot does"
     needed = rights[1] if getattr(message, "lift", False) else rights[0]
-    may = verdict.remaining_rights(who.may | HOST_RIGHTS if who.kind == "host" else who.may)
+    may = verdict.remaining_rights(identity.may | HOST_RIGHTS if identity.kind == "host" else identity.may)
     if needed is None or needed in may:
         return ""
     if needed in verdict.denied_rights:
         return verdict.denied_rights[needed]
-    if verdict.extent != "all" and needed in who.may:
-        return f"{verdict.why}; until then {who} may only observe and stop"
+    if verdict.extent != "all" and needed in identity.may:
+        return f"{verdict.why}; until then {identity} may only observe and stop"
     has = sorted_rights(may).replace(",", " and ") or "do nothing"
-    return f"{who} may {has}, and this takes the right to {needed}: {_remedy(who, needed)}"
+    return f"{identity} may {has}, and this takes the right to {needed}: {_remedy(identity, needed)}"
 
 
-def _remedy(who: Identity, needed: Right) -> str:
-    if who.kind == "local":
+def _remedy(identity: Identity, needed: Right) -> str:
+    if identity.kind == "local":
         return "the user who runs the host has it, and root"
-    if who.kind == "host":
+    if identity.kind == "host":
         return "a person has it, not a host"
-    rights = sorted_rights({*who.may, needed})
+    rights = sorted_rights({*identity.may, needed})
     return (
-        f"new keys give it: 'lfield keys revoke person {who.name}', then "
-        f"'lfield keys person {who.name} --may {rights}'"
+        f"new keys give it: 'lfield keys revoke person {identity.name}', then "
+        f"'lfield keys person {identity.name} --may {rights}'"
     )

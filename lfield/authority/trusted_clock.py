@@ -52,11 +52,11 @@ class TrustedClock:
         """Handle a notBefore that the CA has signed; `what` is `the certificate of host bravo`."""
         self._signed = max(self._signed, (at - self._clock.monotonic(), f"{what} began then"))
 
-    def on_peer_time(self, at: float, who: Identity) -> None:
+    def on_peer_time(self, at: float, identity: Identity) -> None:
         """Handle the time of an authenticated host."""
-        if who.kind == "host" and who.valid_from <= at < who.valid_until:
+        if identity.kind == "host" and identity.valid_from <= at < identity.valid_until:
             self._from_peers = max(
-                self._from_peers, (at - self._clock.monotonic(), f"{who} has sent that time")
+                self._from_peers, (at - self._clock.monotonic(), f"{identity} has sent that time")
             )
 
     def for_handshake(self) -> float:
@@ -71,9 +71,9 @@ class TrustedClock:
         behind = self.now() - self._clock.time()
         if behind < MIN_WARNING:
             return None
-        why = max(self._signed, self._from_peers)[1]
-        if why == self._warning:
+        evidence = max(self._signed, self._from_peers)[1]
+        if evidence == self._warning:
             return None
-        self._warning = why
-        shown, least = format_time(self._clock.time()), format_time(self.now())
-        return log_messages.CLOCK_BEHIND.line(shown=shown, least=least, evidence=why)
+        self._warning = evidence
+        system_time, minimum_time = format_time(self._clock.time()), format_time(self.now())
+        return log_messages.CLOCK_BEHIND.line(shown=system_time, least=minimum_time, evidence=evidence)

@@ -82,10 +82,10 @@ async def plan_start(desk: FleetDesk, without: Sequence[str] = ()) -> StartPlan 
     Raises UsageError.
     """
     desk.addresses(without)
-    asked = [host for host in desk.hosts if host not in without]
-    if not asked:
+    queried_hosts = [host for host in desk.hosts if host not in without]
+    if not queried_hosts:
         raise UsageError("no host is left: --without names all of them")
-    statuses, silent = split_answers(await desk.current_statuses(asked))
+    statuses, silent = split_answers(await desk.current_statuses(queried_hosts))
     found = active_missions(statuses, without)
     if len(found) != 1:
         return _no_mission(statuses, silent, found)
@@ -97,9 +97,11 @@ async def plan_start(desk: FleetDesk, without: Sequence[str] = ()) -> StartPlan 
     if others := await _runs_of_other_bundles(desk, left_out, mission.digest):
         text = f"nothing was started: {listed(others)}; stop it first, or push one bundle to all"
         return StartResult(text)
-    if left := left_behind(mission, statuses):
+    if still_running := left_behind(mission, statuses):
         # These hosts are not part of a new run.
-        text = f"nothing was started: {listed(left)} still runs the last mission: 'lfield stop' ends it"
+        text = (
+            f"nothing was started: {listed(still_running)} still runs the last mission: 'lfield stop' ends it"
+        )
         return StartResult(text)
     hosts = [host for host in mission.hosts if host in statuses]
     return StartPlan(mission, {host: statuses[host] for host in hosts}, left_out)
@@ -110,7 +112,9 @@ def _no_mission(
 ) -> StartResult:
     """The reason why the mission to start is unknown."""
     if found:
-        each = [f"{one.name or short_digest(one.digest)} on {listed(one.hosts)}" for one in found]
+        each = [
+            f"{mission.name or short_digest(mission.digest)} on {listed(mission.hosts)}" for mission in found
+        ]
         text = f"several missions are active ({'; '.join(each)}): --without leaves out hosts of the others"
         return StartResult(f"nothing was started: {text}")
     if divided := divided_hosts(statuses):
@@ -155,24 +159,24 @@ async def start_mission(desk: FleetDesk, plan: StartPlan) -> StartResult:
         )
     statuses, failed = await wait_until_up(desk, hosts)
     idle = idle_coordinators(mission, statuses)
-    gone = {one.agent for one in idle}
-    continues = [agent for agent in continues if agent not in gone]
+    idle_agents = {coordinator.agent for coordinator in idle}
+    continues = [agent for agent in continues if agent not in idle_agents]
     if failed or _waits(statuses):
-        is_over = any(one.run.has_completed for one in statuses.values())
-        what = "has ended with a failure" if is_over else "does not run on all hosts yet"
-        text = f"the mission {what}: 'lfield status' shows it"
+        is_over = any(coordinator.run.has_completed for coordinator in statuses.values())
+        state = "has ended with a failure" if is_over else "does not run on all hosts yet"
+        text = f"the mission {state}: 'lfield status' shows it"
         return StartResult(text, continues=continues, waits=_waits(statuses), errors=failed)
-    waits = {one.host: idle_text(idle, one.host) for one in idle}
+    waits = {coordinator.host: idle_text(idle, coordinator.host) for coordinator in idle}
     bundle = short_digest(digest)
-    if is_idle(mission, idle) or any(one.is_parked for one in idle):
-        rest = (
+    if is_idle(mission, idle) or any(coordinator.is_parked for coordinator in idle):
+        remark = (
             "but no coordinator runs there"
             if is_idle(mission, idle)
             else "but not all coordinators run there"
         )
-        text = f"bundle {bundle} is up on {listed(hosts)}, {rest}"
+        text = f"bundle {bundle} is up on {listed(hosts)}, {remark}"
         return StartResult(text, continues=continues, waits=waits)
-    is_over = all(one.run.has_completed for one in statuses.values())
+    is_over = all(coordinator.run.has_completed for coordinator in statuses.values())
     text = f"bundle {bundle} {'has run to its end' if is_over else 'runs'} on {listed(hosts)}"
     return StartResult(text, True, continues, waits)
 
@@ -189,7 +193,7 @@ async def wait_until_up(
     up_since: float | None = None
     #: The times of failures of hosts, and the time since which one has ended and does not restart.
     failures: set[tuple[str, float]] = set()
-    gone_since: float | None = None
+    ended_since: float | None = None
     while True:
         statuses, failed = split_answers(await desk.current_statuses(hosts))
         now, waits = clock(), _waits(statuses)
@@ -200,13 +204,19 @@ async def wait_until_up(
         up_since = None if waits or failed else up_since or now
         if up_since is not None and (now - up_since >= STEADY or "ended" in phases):
             return statuses, failed
-        most = max((sum(host == one for one, _ in failures) for host in hosts), default=0)
+        maximum_failures = max(
+            (sum(host == failed_host for failed_host, _ in failures) for host in hosts), default=0
+        )
         # A host whose mission has ended in order does not mean that others will not come up.
-        gone = [host for host in waits if statuses[host].run.phase not in ("running", "starting", "waiting")]
-        gone_since = gone_since or now if gone else None
+        ended_hosts = [
+            host for host in waits if statuses[host].run.phase not in ("running", "starting", "waiting")
+        ]
+        ended_since = ended_since or now if ended_hosts else None
         # The others may be in the middle of their start, or end too.
-        is_stable = gone_since is not None and (len(gone) == len(waits) or now - gone_since >= STEADY)
-        if now > end or is_stable or most >= MAX_FAILURES:
+        is_stable = ended_since is not None and (
+            len(ended_hosts) == len(waits) or now - ended_since >= STEADY
+        )
+        if now > end or is_stable or maximum_failures >= MAX_FAILURES:
             return statuses, failed
         await asyncio.sleep(POLL_INTERVAL)
 
@@ -220,10 +230,10 @@ def _waits(statuses: Mapping[str, ServiceStatus]) -> dict[str, str]:
 def _suspended(statuses: Mapping[str, ServiceStatus]) -> list[str]:
     """The coordinators that have not ended on hosts that do not run: a start continues them."""
     found = [
-        one.agent
+        coordinator.agent
         for status in statuses.values()
         if status.run.phase not in ACTIVE_PHASES
-        for one in status.unfinished
+        for coordinator in status.unfinished
     ]
     return list(dict.fromkeys(found))
 
@@ -234,8 +244,8 @@ def _partial_start_text(running: list[str], unknown: list[str]) -> str:
     parts += [f"it may run on {listed(unknown)}"] if unknown else []
     if not parts:
         return "nothing was started"
-    rest = "'lfield status' shows the state, 'lfield stop' ends it"
-    return f"the mission was not started on all hosts: {' and '.join(parts)}; {rest}"
+    advice = "'lfield status' shows the state, 'lfield stop' ends it"
+    return f"the mission was not started on all hosts: {' and '.join(parts)}; {advice}"
 
 
 def _waiting(status: ServiceStatus) -> str:

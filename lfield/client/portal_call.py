@@ -118,8 +118,8 @@ class PortalCaller:
         if errors:
             raise errors[0]
         hint = did_you_mean(agent, sorted(self._places))
-        why = f"no host runs an agent of that name{f'; {hint}' if hint else ''}"
-        raise PortalCallRefused(agent, "no-portal", why)
+        reason = f"no host runs an agent of that name{f'; {hint}' if hint else ''}"
+        raise PortalCallRefused(agent, "no-portal", reason)
 
 
 def _value(portal: str, result: PortalCallResult) -> object:

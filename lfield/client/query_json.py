@@ -28,8 +28,8 @@ class KnownTeam:
 
     def __str__(self) -> str:
         if not self.is_running:
-            why = "no host answered" if self.unanswered else "nothing is running"
-            return f"from the files: {why}, live attributes are unknown"
+            reason = "no host answered" if self.unanswered else "nothing is running"
+            return f"from the files: {reason}, live attributes are unknown"
         hosts = len(self.answered) + len(self.unanswered)
         return f"from the running team: {len(self.answered)} of {hosts} hosts answered"
 
@@ -44,8 +44,8 @@ def query_data(
         "constraint": constraint.text.strip() if constraint is not None else None,
         "source": "team" if known.is_running else "files",
         "answered": list(known.answered),
-        "silent": {host: str(why) for host, why in known.unanswered.items()},
-        "codes": {host: why.code for host, why in known.unanswered.items()},
+        "silent": {host: str(error) for host, error in known.unanswered.items()},
+        "codes": {host: error.code for host, error in known.unanswered.items()},
         "capabilities": [
             {
                 "primitive": answer.primitive.name,

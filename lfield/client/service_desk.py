@@ -130,7 +130,7 @@ async def ask_all_services(
 
     The request to a service that does not listen is repeated for `restart` seconds.
     """
-    asked = list(links.addresses if hosts is None else hosts)
+    queried_hosts = list(links.addresses if hosts is None else hosts)
 
     async def one(host: str) -> A | LfieldError:
         try:
@@ -138,7 +138,7 @@ async def ask_all_services(
         except LfieldError as error:
             return error
 
-    return dict(zip(asked, await asyncio.gather(*map(one, asked)), strict=True))
+    return dict(zip(queried_hosts, await asyncio.gather(*map(one, queried_hosts)), strict=True))
 
 
 def require_hosts(inventory: Inventory, hosts: Sequence[str]) -> None:

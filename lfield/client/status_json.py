@@ -53,8 +53,8 @@ def _host_data(host: HostState) -> dict[str, Any]:
         "journal": _journal_data(status.journal),
         "begun": [asdict(call) for call in status.pending_calls],
         "refused": [
-            {"host": one.host, "reason": one.reason, "bundle": short_digest(one.bundle)}
-            for one in status.refused
+            {"host": refusal.host, "reason": refusal.reason, "bundle": short_digest(refusal.bundle)}
+            for refusal in status.refused
         ],
         "start": None if status.start is None else asdict(status.start),
         "startable": status.startable,
@@ -78,8 +78,12 @@ def _journal_data(journal: JournalStatus | None) -> dict[str, Any] | None:
     if journal is None:
         return None
     parked = [
-        {"id": one.agent, **{n: getattr(one, n) for n in _PARKED}, "program": one.program.hex()[:16]}
-        for one in journal.parked
+        {
+            "id": status.agent,
+            **{field: getattr(status, field) for field in _PARKED},
+            "program": status.program.hex()[:16],
+        }
+        for status in journal.parked
     ]
     return {"commits": journal.commits, "trouble": journal.trouble, "parked": parked}
 
@@ -102,10 +106,10 @@ def _directory(agents: Sequence[DirectoryEntry]) -> dict[str, Any]:
 
 def runs_data(parties: Sequence[TargetTeam], hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
     """The runs, and the state of every host, or the error where it did not answer."""
-    return {party.id: _party(party, hosts) for party in parties}
+    return {team.id: _team_data(team, hosts) for team in parties}
 
 
-def _party(party: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
+def _team_data(team: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
     runs = [
         {
             "id": run.id,
@@ -114,9 +118,9 @@ def _party(party: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, A
             "since": _time_text(run.manifest.started),
             "hosts": list(run.manifest.control_sockets),
         }
-        for run in party.runs
+        for run in team.runs
     ]
-    return {"runs": runs, "hosts": status_data(by_host(hosts, party))}
+    return {"runs": runs, "hosts": status_data(by_host(hosts, team))}
 
 
 def _time_text(seconds: float) -> str:

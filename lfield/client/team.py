@@ -185,8 +185,8 @@ class ConnectedTeam:
                         yield event_data(item)
                 elif (not kinds or item.event.kind in kinds) and (not hosts or item.host in hosts):
                     yield event_data(item)
-            for host, why in () if follow else feed.unreached.items():
-                yield event_data(FeedNotice(host, why, {"events": None}))
+            for host, reason in () if follow else feed.unreached.items():
+                yield event_data(FeedNotice(host, reason, {"events": None}))
 
     def _check(self, named: Collection[str], known: Collection[str], what: str) -> None:
         for name in named:

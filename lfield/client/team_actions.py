@@ -77,16 +77,18 @@ class TeamActions:
     def denied_orders(self) -> Mapping[OrderKind, str]:
         """The orders that every host would refuse from this person, each with a reason."""
         found: dict[OrderKind, str] = {}
-        who = [self._identity_at(address) for address in self._connection.locate.addresses.values()]
+        identities = [self._identity_at(address) for address in self._connection.locate.addresses.values()]
         for order, message in _MESSAGES.items():
-            reasons = [self._missing_right(identity, message) for identity in who if identity is not None]
+            reasons = [
+                self._missing_right(identity, message) for identity in identities if identity is not None
+            ]
             if reasons and all(reasons):
                 found[order] = reasons[0]
         return found
 
-    def _missing_right(self, who: Identity, message: EmergencyStop | Pause) -> str:
+    def _missing_right(self, identity: Identity, message: EmergencyStop | Pause) -> str:
         return missing_permission(
-            who, AdmissionDecision("all", denied_rights=self._access.denied_rights(who)), message
+            identity, AdmissionDecision("all", denied_rights=self._access.denied_rights(identity)), message
         )
 
     def _identity_at(self, address: str) -> Identity | None:
@@ -130,7 +132,7 @@ class TeamActions:
         confirmed: list[str] = []
         unconfirmed: dict[str, str] = {}
         unreached: dict[str, str] = {}
-        troubles: dict[str, str] = {}
+        problems: dict[str, str] = {}
         number = self._observer.on_order(order, self._connection.locate.hosts)
         on_answer = partial(self._observer.on_answer, number)
         answers = await self._connection.order(request, self._standing, on_answer)
@@ -141,8 +143,8 @@ class TeamActions:
             confirmed += [device for device, problem in answer.devices.items() if not problem]
             unconfirmed |= {device: problem for device, problem in answer.devices.items() if problem}
             if answer.trouble:
-                troubles[host] = answer.trouble
-        return OrderOutcome(order, tuple(confirmed), unconfirmed, unreached, troubles)
+                problems[host] = answer.trouble
+        return OrderOutcome(order, tuple(confirmed), unconfirmed, unreached, problems)
 
     async def enter(self, host: str, agent: str, text: str) -> str:
         """See `OperatorActions.enter`."""

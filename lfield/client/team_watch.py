@@ -134,16 +134,16 @@ async def watch_team(
     transport, reach, sender = connection.transport, connection.locate, connection.sender
     mission = await asyncio.to_thread(read_mission, path)
     drawings = program_drawings(mission.program) if mission is not None else []
-    shown = TeamWatch(team_contents(path.stem, team, mission), clock, drawings)
+    watch = TeamWatch(team_contents(path.stem, team, mission), clock, drawings)
     options = FollowOptions(
         telemetry=RATE,
         crl=connection.crl,
         hint=reach.hint,
         learn=sender.learn if sender is not None else _ignore_epochs,
     )
-    follower = EventFollower(transport, reach.hosts, reach, shown, clock, options)
+    follower = EventFollower(transport, reach.hosts, reach, watch, clock, options)
     access = mission.access if mission is not None else NO_RULES
-    shown.actions = TeamActions(connection, shown, lambda: TeamQueries(path, team), access, follower.order)
+    watch.actions = TeamActions(connection, watch, lambda: TeamQueries(path, team), access, follower.order)
     past = log_backlog(transport, reach.hosts, reach, clock, connection.crl)
-    async with background_tasks(shown.start_log(past), follower.run(), shown.tick()):
-        yield shown
+    async with background_tasks(watch.start_log(past), follower.run(), watch.tick()):
+        yield watch

@@ -187,7 +187,7 @@ async def run_conformance(
                 findings.append(finding)
                 show(finding)
     finally:
-        for name, why in (await guards.close()).items():
-            findings.append(Finding(name, END_CHECK, "failed", why))
+        for name, reason in (await guards.close()).items():
+            findings.append(Finding(name, END_CHECK, "failed", reason))
             show(findings[-1])
     return findings

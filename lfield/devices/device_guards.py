@@ -61,7 +61,7 @@ class DeviceGuards:
         self.on_event, self.on_lock_out = on_event, on_lock_out
         self._guards: list[GuardProcess] = []
         #: The reason why programs may not release devices, '' while they may; also for devices opened later.
-        self._barred = ""
+        self._inhibit_reason = ""
         #: A future for each running emergency stop; several may run at the same time.
         self._stopping: list[asyncio.Event] = []
         self._fakes: list[FakeProcess] = []
@@ -101,7 +101,7 @@ class DeviceGuards:
             guard = GuardProcess(
                 driver, bus, self.clock, self._note, self.lateness, self._has_progressed, files
             )
-            guard.latched_devices.inhibit(self._barred)
+            guard.latched_devices.inhibit(self._inhibit_reason)
             guard.latched_devices.set_event_handlers(self.on_event, self.on_lock_out)
             self._guards.append(guard)
             self._by_device.update(
@@ -200,7 +200,7 @@ class DeviceGuards:
 
         Devices opened later are inhibited from the start.
         """
-        self._barred = reason
+        self._inhibit_reason = reason
         for guard in self._guards:
             guard.inhibit(reason)
 
@@ -226,8 +226,8 @@ class DeviceGuards:
         for guard in self._guards:
             for name in guard.actuated_devices:
                 held = guard.latched_devices.latched.get(name, "")
-                barred = guard.latched_devices.barred or guard.latched_devices.locked_out.get(name, "")
-                table[name] = barred or (held if held != reason else "")
+                blocked = guard.latched_devices.barred or guard.latched_devices.locked_out.get(name, "")
+                table[name] = blocked or (held if held != reason else "")
                 if held and not table[name]:
                     table[name] = await self._release(name)
         return table
@@ -274,7 +274,7 @@ class DeviceGuards:
 
     def clear_emergency_stop(self) -> dict[str, str]:
         """Permits programs to release their devices; returns the table of `await_safe_states`, all ''."""
-        self._barred = ""
+        self._inhibit_reason = ""
         for guard in self._guards:
             guard.allow_release()
         return {name: "" for guard in self._guards for name in guard.actuated_devices}
@@ -321,7 +321,7 @@ class DeviceGuards:
         guard.latched_devices.moving.update(
             {name: "" for name in guard.actuated_devices if name not in unsafe}
         )
-        return {name: f"{why}; {guard.snapshots.describe(name)}" for name, why in unsafe.items()}
+        return {name: f"{reason}; {guard.snapshots.describe(name)}" for name, reason in unsafe.items()}
 
     def stop_waiting(self) -> None:
         """Stops waiting for devices; `close` then ends and reports the devices that are not at rest."""
@@ -355,8 +355,8 @@ def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:
     """Problems of devices of different drivers on one port, which would receive each other's bytes."""
     first: dict[str, DeviceBinding] = {}
     return [
-        f"{rival.name} and {device.name} are both at {device.endpoint}, with the drivers '{rival.driver}' "
+        f"{other.name} and {device.name} are both at {device.endpoint}, with the drivers '{other.driver}' "
         f"and '{device.driver}': a port can have only one driver"
         for device in devices
-        if (rival := first.setdefault(device.endpoint, device)).driver != device.driver
+        if (other := first.setdefault(device.endpoint, device)).driver != device.driver
     ]

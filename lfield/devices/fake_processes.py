@@ -117,28 +117,28 @@ class FakeOutput:
     """
 
     def __init__(self, stream: asyncio.StreamReader) -> None:
-        self._kept: str | None = ""
+        self._buffered: str | None = ""
         self._reading = asyncio.create_task(self._read(stream))
 
     async def _read(self, stream: asyncio.StreamReader) -> None:
         while data := await stream.read(1 << 16):
             text = data.decode("utf-8", "replace")
-            if self._kept is None:
+            if self._buffered is None:
                 sys.stderr.write(text)
                 sys.stderr.flush()
             else:
-                self._kept = (self._kept + text)[-MAX_OUTPUT:]
+                self._buffered = (self._buffered + text)[-MAX_OUTPUT:]
 
     def flush(self) -> None:
         """Passes on the buffered output, and all later output."""
-        kept, self._kept = self._kept, None
-        sys.stderr.write(kept or "")
+        buffered, self._buffered = self._buffered, None
+        sys.stderr.write(buffered or "")
 
     def exit_reason(self, what: str, said: str) -> str:
         """`what` with the output of a simulated device that has ended (stderr or `said`): only the last line
         of a traceback.
         """
-        lines = [line.strip() for line in f"{self._kept or ''}\n{said}".splitlines() if line.strip()]
+        lines = [line.strip() for line in f"{self._buffered or ''}\n{said}".splitlines() if line.strip()]
         if any(line.startswith("Traceback") for line in lines):
             lines = lines[-1:]
         return f"{what}; it said: {' '.join(lines)}" if lines else f"{what}, without output"

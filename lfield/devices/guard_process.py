@@ -133,8 +133,8 @@ class GuardProcess(asyncio.SubprocessProtocol):
             if isinstance(error, DevicesError):
                 raise
             raise DevicesError([f"the driver did not open its devices within {OPEN_TIMEOUT:g} s"]) from None
-        for asked in self.latched_devices.pending_requests():
-            self._send(asked)
+        for request in self.latched_devices.pending_requests():
+            self._send(request)
         for name, identity in self.identities.items():
             endpoint = self._devices[name].endpoint
             self._note(log_messages.DEVICE_OPENED.line(device=name, identity=identity, endpoint=endpoint))
@@ -181,7 +181,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         if not self.identities:
             return dict.fromkeys(self.actuated_devices, UNFINISHED) if self._has_spoken else {}
         motions = {name: self.latched_devices.moving.get(name, UNCONFIRMED) for name in self.actuated_devices}
-        return {name: f"{said}, and its guard has ended" for name, said in motions.items() if said}
+        return {name: f"{motion}, and its guard has ended" for name, motion in motions.items() if motion}
 
     def kill(self) -> None:
         """Kills the process; the next process makes the devices safe, unless the guard is closing."""
@@ -290,9 +290,9 @@ class GuardProcess(asyncio.SubprocessProtocol):
         binding = self._devices[device]
         if not self._ready:
             return Unavailability(f"{binding.field}: its guard has died and is restarting")
-        if why := self.latched_devices.latched.get(device):
+        if reason := self.latched_devices.latched.get(device):
             return Unavailability(
-                f"{binding.field}: in its safe state {self.latched_devices.state(device)}: {why}"
+                f"{binding.field}: in its safe state {self.latched_devices.state(device)}: {reason}"
             )
         lost = self.snapshots.silent_since(device)
         return None if lost is None else Unavailability(f"{binding.field}: no message", lost)

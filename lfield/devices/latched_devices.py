@@ -144,15 +144,15 @@ class LatchedDevices:
 
     def request_safe(self, device: str, reason: str, state: str) -> RequestSafeState:
         """The request for a safe state; '' is the one of the binding."""
-        asked = RequestSafeState(
+        request = RequestSafeState(
             device, reason, state="" if state == self._devices[device].safe_state else state
         )
-        if asked.state:
-            self._requests[device] = asked
-        return asked
+        if request.state:
+            self._requests[device] = request
+        return request
 
     def pending_requests(self) -> list[RequestSafeState]:
         """The requests for a restarted guard, which brings its devices into their usual safe states."""
-        bar = [RequestSafeState("", self.barred, lock=True)] if self.barred else []
+        inhibitions = [RequestSafeState("", self.barred, lock=True)] if self.barred else []
         locks = [RequestSafeState(device, reason, lock=True) for device, reason in self.locked_out.items()]
-        return [*self._requests.values(), *bar, *locks]
+        return [*self._requests.values(), *inhibitions, *locks]

@@ -43,8 +43,8 @@ def plan_restore(
     values of its settings, by default of the settings that its binding needs.
     """
     if entry.serial and found.serial != entry.serial:
-        there = f"{found.name}: {found.label} is now at {entry.binding.endpoint}, not {entry.label}"
-        return RestorePlan(entry, found, [], [f"{there}: nothing is written"])
+        problem = f"{found.name}: {found.label} is now at {entry.binding.endpoint}, not {entry.label}"
+        return RestorePlan(entry, found, [], [f"{problem}: nothing is written"])
     if present is None:
         present = {setting.name: setting.present for setting in found.settings}
     writes, problems = list[ParameterChange](), list[str]()

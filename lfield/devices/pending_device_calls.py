@@ -56,24 +56,27 @@ class PendingDeviceCalls:
 
     def cancel(self, agent: str, thread: int, sent: float) -> CancelInstruction | None:
         """The message that cancels the call of a thread; None for a call that may not be cancelled."""
-        for token, asked in self._pending.items():
-            if (asked.binding.agent, asked.thread) == (agent, thread) and asked.instruction.may_be_cancelled:
+        for token, pending in self._pending.items():
+            if (pending.binding.agent, pending.thread) == (
+                agent,
+                thread,
+            ) and pending.instruction.may_be_cancelled:
                 return CancelInstruction(token, sent)
         return None
 
     def on_done(self, token: int, value: Any) -> None:
         """The call was executed. Raises WireError for an unknown call."""
-        asked = self._pop_pending(token)
+        pending = self._pop_pending(token)
         try:
-            asked.answered(conform(value, asked.instruction.result))
+            pending.answered(conform(value, pending.instruction.result))
         except ValueError as error:
-            reason = f"{asked.instruction.name}() gave no {asked.instruction.result}: {error}"
-            asked.answered(DeviceError(asked.binding.field, reason))
+            reason = f"{pending.instruction.name}() gave no {pending.instruction.result}: {error}"
+            pending.answered(DeviceError(pending.binding.field, reason))
 
     def on_refused(self, token: int, kind: str, reason: str) -> None:
         """The call failed; `kind` is the L exception. Raises WireError as `on_done`."""
-        asked = self._pop_pending(token)
-        asked.answered(DeviceError(asked.binding.field, reason, kind=kind))
+        pending = self._pop_pending(token)
+        pending.answered(DeviceError(pending.binding.field, reason, kind=kind))
 
     def _pop_pending(self, token: int) -> _PendingCall:
         """Removes the call of this token. Raises WireError for an unknown call."""

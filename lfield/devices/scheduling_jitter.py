@@ -65,10 +65,10 @@ class JitterLimit(Struct, frozen=True):
                 f"heartbeats to guards up to {format_jitter(late)} late: fast enough for "
                 f"'silence: {self.silence:g}'"
             )
-        kept = self.shortest_silence(late)
+        shortest = self.shortest_silence(late)
         could = (
-            f"the shortest possible silence is {kept:g} s"
-            if kept <= MAX_SILENCE
+            f"the shortest possible silence is {shortest:g} s"
+            if shortest <= MAX_SILENCE
             else "no silence is long enough"
         )
         return (
@@ -78,13 +78,15 @@ class JitterLimit(Struct, frozen=True):
 
     def remedy(self, late: float) -> str:
         """The remedy for a jitter that is too large."""
-        ways = ["reduce the load of this computer"]
+        measures = ["reduce the load of this computer"]
         if not self.prompt:
-            ways.append("give its guards real-time priority (LimitRTPRIO=1, see 'lfield doctor')")
-        kept = self.shortest_silence(late)
-        if kept <= MAX_SILENCE:
-            ways.append(f"write 'silence: {kept:g}' if the vehicles may move for so long without their host")
-        return " or ".join([", ".join(ways[:-1]), ways[-1]] if len(ways) > 1 else ways)
+            measures.append("give its guards real-time priority (LimitRTPRIO=1, see 'lfield doctor')")
+        shortest = self.shortest_silence(late)
+        if shortest <= MAX_SILENCE:
+            measures.append(
+                f"write 'silence: {shortest:g}' if the vehicles may move for so long without their host"
+            )
+        return " or ".join([", ".join(measures[:-1]), measures[-1]] if len(measures) > 1 else measures)
 
 
 class JitterMonitor:

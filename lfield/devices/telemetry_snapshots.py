@@ -127,11 +127,11 @@ class Snapshots:
     @property
     def telemetry(self) -> dict[str, dict[str, DeviceValue]]:
         """The last known values, by device and quantity in the order of the manifest, of any age."""
-        shown: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
+        values_by_device: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
         for device, quantity in self._quantities:
             if (device, quantity) in self._observations:
-                shown[device][quantity] = self._observations[device, quantity].value
-        return shown
+                values_by_device[device][quantity] = self._observations[device, quantity].value
+        return values_by_device
 
 
 def _patience(quantities: Iterable[Quantity]) -> float:

@@ -65,7 +65,9 @@ class GuardCore:
         silence: float = HOST_TIMEOUT,
     ) -> None:
         self._devices = {device[0]: GuardDevice(*device) for device in devices}
-        self._rest = Standstill({name: within for name, made, _, within in devices if made.safe_states})
+        self._standstill = Standstill(
+            {name: within for name, manifest, _, within in devices if manifest.safe_states}
+        )
         self._clock = clock
         self._silence = silence
         self._last_beat = clock.monotonic()
@@ -74,13 +76,13 @@ class GuardCore:
     @property
     def state(self) -> CoreState:
         """The present state, which the next event changes."""
-        devices, rest = list(self._devices.values()), self._rest.state
-        return CoreState(devices, rest, self._last_beat, self._stopping, self._ended, self._muted)
+        devices, standstill = list(self._devices.values()), self._standstill.state
+        return CoreState(devices, standstill, self._last_beat, self._stopping, self._ended, self._muted)
 
     def restore(self, state: CoreState) -> None:
         """Continues from the state of another core with the same devices."""
         self._devices = {device.name: device for device in state.devices}
-        self._rest.restore(state.rest)
+        self._standstill.restore(state.rest)
         self._last_beat = state.last_beat
         self._stopping, self._ended, self._muted = state.stopping, state.ended, state.muted
 
@@ -211,13 +213,13 @@ class GuardCore:
         if device.confirmed:
             return effects
         device.confirm()
-        self._rest.on_confirmed(name, now)
+        self._standstill.on_confirmed(name, now)
         return [*effects, Notify(Latched(name, device.latched, True, device.state)), *self.tick()]
 
     def on_motion_report(self, name: str, moving: str) -> list[Effect]:
         """The driver reports how the device still moves in its safe state, '' when it is at rest."""
         device, now = self._devices[name], self._clock.monotonic()
-        is_reported = self._rest.on_motion_report(name, moving, now)
+        is_reported = self._standstill.on_motion_report(name, moving, now)
         effects: list[Effect] = [Notify(Moving(name, moving))] if is_reported else []
         waits = device.making or self._muted or now < device.made_at + REPEAT
         if moving and device.confirmed and not waits:
@@ -238,19 +240,19 @@ class GuardCore:
     def on_stop(self, reason: str, *, at_once: bool = False) -> list[Effect]:
         """The host stops: make all devices safe, wait until they are at rest (not `at_once`), then exit."""
         if at_once:
-            self._rest.skip_wait()
+            self._standstill.skip_wait()
         return self._stop(reason)
 
     def on_host_gone(self, reason: str) -> list[Effect]:
         """The host has ended: make all devices safe, then exit."""
-        self._rest.on_host_gone()
+        self._standstill.on_host_gone()
         return self._stop(reason)
 
     def _stop(self, reason: str) -> list[Effect]:
         effects = self.tick()
         if not self._stopping:
             self._stopping = True
-            self._rest.on_stop(self._clock.monotonic())
+            self._standstill.on_stop(self._clock.monotonic())
             effects += self._latch_all(reason)
         return effects + self.tick()
 
@@ -274,7 +276,7 @@ class GuardCore:
             effects.append(self._set_muted(True))
         if self._ended:
             return effects
-        effects += [CheckRest(name) for name in self._rest.due_checks(now)]
+        effects += [CheckRest(name) for name in self._standstill.due_checks(now)]
         return effects + self._end_if_over(now)
 
     def due(self) -> float | None:
@@ -282,7 +284,7 @@ class GuardCore:
         if self._ended:
             return None
         times = [device.due() for device in self._devices.values()]
-        times += [self._rest.due(), self._silence_due()]
+        times += [self._standstill.due(), self._silence_due()]
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
@@ -309,12 +311,12 @@ class GuardCore:
     def _mute_at(self) -> float:
         """The time when a silent host's bus is muted: at once if no message remains to be sent."""
         if all(d.confirmed or not (d.latched or d.is_actuated) for d in self._devices.values()):
-            return max(self._silent_at, self._rest.under_way_until())
+            return max(self._silent_at, self._standstill.under_way_until())
         return self._silent_at + MUTE_AFTER
 
     def _set_muted(self, on: bool) -> Mute:
         self._muted = on
-        self._rest.on_muted(on)
+        self._standstill.on_muted(on)
         return Mute(on)
 
     def _start_query(self, device: GuardDevice, call: GuardCall) -> list[Effect]:
@@ -331,7 +333,7 @@ class GuardCore:
             if device.latched:
                 effects += [*([Abandon(device.name)] if device.making else []), Notify(Released(device.name))]
                 device.release()
-                self._rest.on_latched_or_free(device.name)
+                self._standstill.on_latched_or_free(device.name)
         device.queries[call.token] = RunningCall(call, "ask")
         return [*effects, Execute(call)]
 
@@ -343,12 +345,12 @@ class GuardCore:
         if device.latched and state in ("", device.state):
             return []
         if not device.manifest.safe_states:
-            said = device.replace_reported(reason)
+            reported = device.replace_reported(reason)
             line = log_messages.SENSOR_NOT_LATCHED.line(reason=reason)
             note = Note(device.name, *report_fields(line))
-            return [Notify(note)] if reason != said and not self._stopping else []
+            return [Notify(note)] if reason != reported and not self._stopping else []
         device.latch(reason, state)
-        self._rest.on_latched_or_free(device.name)
+        self._standstill.on_latched_or_free(device.name)
         device.setpoints.clear()
         # The safe state is the first effect because it cannot wait.
         stopped = [
@@ -384,10 +386,10 @@ class GuardCore:
         return running
 
     def _end_if_over(self, now: float) -> list[Effect]:
-        if not self._rest.is_over(now):
+        if not self._standstill.is_over(now):
             return []
         self._ended = True
-        unsafe = self._rest.unsafe()
+        unsafe = self._standstill.unsafe()
         return [Notify(Stopped(unsafe)), Exit(1 if unsafe else 0)]
 
 

@@ -41,18 +41,18 @@ def endpoint_targets(endpoint: str) -> list[EndpointTarget]:
 
     A bus inside one process (`virtual:`) has none.
     """
-    found = []
+    targets = []
     for part in endpoint.split(","):
-        kind, _, rest = part.strip().partition("?")[0].partition(":")
-        if not rest or kind == "virtual":
+        kind, _, target = part.strip().partition("?")[0].partition(":")
+        if not target or kind == "virtual":
             continue
-        if rest.startswith("/"):
-            found.append(EndpointTarget("device", re.sub("[:@][0-9]+$", "", rest)))
-        elif at := _PORT.fullmatch(rest):
-            found.append(EndpointTarget(kind, at["host"].strip("[]"), int(at["port"]), at["channel"] or ""))
+        if target.startswith("/"):
+            targets.append(EndpointTarget("device", re.sub("[:@][0-9]+$", "", target)))
+        elif at := _PORT.fullmatch(target):
+            targets.append(EndpointTarget(kind, at["host"].strip("[]"), int(at["port"]), at["channel"] or ""))
         else:
-            found.append(EndpointTarget(kind, rest))
-    return found
+            targets.append(EndpointTarget(kind, target))
+    return targets
 
 
 class EndpointGuard(Protocol):

@@ -297,8 +297,8 @@ class OrphanLog:
                 return [log_messages.DEVICE_SAFE.line(device=device, state=state, reason=reason)]
             case Stopped(unsafe):
                 return [
-                    log_messages.DEVICE_NOT_SAFE.line(device=device, reason=why)
-                    for device, why in unsafe.items()
+                    log_messages.DEVICE_NOT_SAFE.line(device=device, reason=condition)
+                    for device, condition in unsafe.items()
                 ]
             case Note(device, text, code, level):
                 return [report_line(device, text, code, level)]

@@ -54,13 +54,15 @@ def describe_sandbox() -> tuple[str, str]:
     version = landlock_abi()
     if not version:
         return "", "this kernel has no Landlock (5.13 has; see CONFIG_SECURITY_LANDLOCK and 'lsm=')"
-    kept = ["files"] + ["TCP"] * (version >= 4) + ["devices"] * (version >= 5) + ["signals"] * (version >= 6)
+    enforced = (
+        ["files"] + ["TCP"] * (version >= 4) + ["devices"] * (version >= 5) + ["signals"] * (version >= 6)
+    )
     missing = ["TCP"] * (version < 4) + ["devices"] * (version < 5) + ["signals"] * (version < 6)
     if platform.machine() in _PROCESSORS:
-        kept.append("sockets")
+        enforced.append("sockets")
     else:
         missing.append("sockets")
-    return ", ".join(kept), ", ".join(missing)
+    return ", ".join(enforced), ", ".join(missing)
 
 
 def apply_sandbox(policy: SandboxPolicy) -> None:

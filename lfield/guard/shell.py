@@ -93,7 +93,7 @@ class Shell(asyncio.Protocol):
         self._tasks: set[asyncio.Task[Any]] = set()
         self._timer: asyncio.Handle | None = None
         self._timer_at = self._answered = 0.0
-        self._asked = self._no_memory = False
+        self._is_open_requested = self._no_memory = False
         # Messages to be sent in one write, while more are expected; None otherwise.
         self._buffered: list[bytes] | None = None
         self.exit: asyncio.Future[int] = self._loop.create_future()
@@ -117,16 +117,16 @@ class Shell(asyncio.Protocol):
         self._end(guard_inputs.HostGone(reason))
 
     def _receive(self, message: GuardMessage) -> None:
-        if isinstance(message, OpenDevices) and not self._asked:
-            self._asked = True
+        if isinstance(message, OpenDevices) and not self._is_open_requested:
+            self._is_open_requested = True
             self._orphan_log.on_opening(message.devices)
             self._opening.on_request(message)
             self._recorder = open_recorder(message, self._clock, self.note)
             self._spawn(self._open(message))
         elif isinstance(message, Stop):
             self._end(guard_inputs.StopRequested(message.reason, message.at_once), at_once=message.at_once)
-        elif self._core is not None and (given := guard_inputs.input_of(message)) is not None:
-            self._handle(given)
+        elif self._core is not None and (event := guard_inputs.input_of(message)) is not None:
+            self._handle(event)
             if isinstance(message, Beat):
                 self._answer_beat()
 
@@ -252,8 +252,8 @@ class Shell(asyncio.Protocol):
             self._finish(1)
             return
         devices, clock = [self._driver.devices[name] for name in identities], TurnClock(self._clock)
-        given = [(d.binding.name, d.manifest.device, d.binding.ttl, d.binding.rest_within) for d in devices]
-        self._core = RecordedCore(GuardCore(given, clock, silence=message.silence), clock, self._recorder)
+        rows = [(d.binding.name, d.manifest.device, d.binding.ttl, d.binding.rest_within) for d in devices]
+        self._core = RecordedCore(GuardCore(rows, clock, silence=message.silence), clock, self._recorder)
         # Flush telemetry first: a query right after opening must find it.
         self._telemetry.flush()
         actions = {d.binding.name: found for d in devices if (found := d.safe_actions())}
@@ -288,9 +288,9 @@ class Shell(asyncio.Protocol):
 
     # -- effects --------------------------------------------------------------------------------------
 
-    def _handle(self, given: guard_inputs.GuardInput) -> None:
+    def _handle(self, event: guard_inputs.GuardInput) -> None:
         if self._core is not None:
-            self._run(self._core.handle(given))
+            self._run(self._core.handle(event))
 
     def _run(self, effects: Sequence[Effect]) -> None:
         with self._in_one_write():

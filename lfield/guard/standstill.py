@@ -70,24 +70,24 @@ class Standstill:
 
     def on_latched_or_free(self, name: str) -> None:
         """The device enters its safe state, or is free: its condition is unknown."""
-        way = self._devices[name]
-        way.confirmed_at, way.moving, way.check_at, way.reported = None, None, None, None
+        settling = self._devices[name]
+        settling.confirmed_at, settling.moving, settling.check_at, settling.reported = None, None, None, None
 
     def on_confirmed(self, name: str, now: float) -> None:
         """The safe state of a device is confirmed."""
-        way = self._devices[name]
-        way.confirmed_at, way.check_at = now, now
+        settling = self._devices[name]
+        settling.confirmed_at, settling.check_at = now, now
 
     def on_motion_report(self, name: str, moving: str, now: float) -> bool:
         """Records how a device still moves, '' at rest; returns whether the host needs a report."""
-        way = self._devices[name]
-        if way.confirmed_at is None:
+        settling = self._devices[name]
+        if settling.confirmed_at is None:
             return False
-        way.moving = moving
-        due = way.reported is None or not moving or now >= way.reported_at + REPORT_EVERY
-        if moving == way.reported or not due:
+        settling.moving = moving
+        due = settling.reported is None or not moving or now >= settling.reported_at + REPORT_EVERY
+        if moving == settling.reported or not due:
             return False
-        way.reported, way.reported_at = moving, now
+        settling.reported, settling.reported_at = moving, now
         return True
 
     def on_stop(self, now: float) -> None:
@@ -111,7 +111,9 @@ class Standstill:
     def due_checks(self, now: float) -> list[str]:
         """The devices to be checked now; each is due again after CHECK_EVERY."""
         due = [
-            name for name, way in self._devices.items() if way.check_at is not None and now >= way.check_at
+            name
+            for name, settling in self._devices.items()
+            if settling.check_at is not None and now >= settling.check_at
         ]
         for name in due:
             self._devices[name].check_at = now + CHECK_EVERY
@@ -121,14 +123,14 @@ class Standstill:
         """Whether the stop is over."""
         if self._stopped_at is None:
             return False
-        return self._is_skipped or all(self._is_settled(way, now) for way in self._devices.values())
+        return self._is_skipped or all(self._is_settled(settling, now) for settling in self._devices.values())
 
     def under_way_until(self) -> float:
         """The last time limit of the confirmed devices not at rest; minus infinity without any."""
         ends = (
-            way.confirmed_at + way.bound
-            for way in self._devices.values()
-            if way.confirmed_at is not None and way.moving != ""
+            settling.confirmed_at + settling.bound
+            for settling in self._devices.values()
+            if settling.confirmed_at is not None and settling.moving != ""
         )
         return max(ends, default=-math.inf)
 
@@ -137,24 +139,26 @@ class Standstill:
         condition.
         """
         found = {}
-        for name, way in self._devices.items():
-            if way.confirmed_at is None:
+        for name, settling in self._devices.items():
+            if settling.confirmed_at is None:
                 found[name] = UNCONFIRMED
-            elif not self._is_at_rest(way):
-                found[name] = f"it is in its safe state and not at rest: {way.moving or 'not checked'}"
+            elif not self._is_at_rest(settling):
+                found[name] = f"it is in its safe state and not at rest: {settling.moving or 'not checked'}"
         return found
 
     def due(self) -> float | None:
         """The time when the next action is due, on the clock of the events."""
-        times = [way.check_at for way in self._devices.values() if way.check_at is not None]
+        times = [settling.check_at for settling in self._devices.values() if settling.check_at is not None]
         if self._stopped_at is not None:
-            waited = [way.bound for way in self._devices.values() if not self._is_at_rest(way)]
+            waited = [settling.bound for settling in self._devices.values() if not self._is_at_rest(settling)]
             times += [self._stopped_at + max(waited)] if waited else []
         return min(times, default=None)
 
-    def _is_at_rest(self, way: Settling) -> bool:
-        return way.confirmed_at is not None and (way.moving == "" or (self._is_host_gone and self._muted))
+    def _is_at_rest(self, settling: Settling) -> bool:
+        return settling.confirmed_at is not None and (
+            settling.moving == "" or (self._is_host_gone and self._muted)
+        )
 
-    def _is_settled(self, way: Settling, now: float) -> bool:
+    def _is_settled(self, settling: Settling, now: float) -> bool:
         assert self._stopped_at is not None
-        return self._is_at_rest(way) or now >= self._stopped_at + way.bound
+        return self._is_at_rest(settling) or now >= self._stopped_at + settling.bound

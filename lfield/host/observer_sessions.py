@@ -102,7 +102,7 @@ class ObserverSessions:
                 self.subscriptions.on_ack(message, link)
             case EmergencyStop() | Pause():
                 self.order_executor.on_order(
-                    message, str(link.who), lambda answer: self._answer(link, answer)
+                    message, str(link.identity), lambda answer: self._answer(link, answer)
                 )
             case BallotHold():
                 self.order_executor.on_ballot_hold(message, lambda answer: self._answer(link, answer))
@@ -111,7 +111,7 @@ class ObserverSessions:
             case RecoverRequest():
                 spawn(self._answer_when_durable(link, RecoveryOrdered(message), _recover_response))
             case InputLine():
-                self._note(log_messages.INPUT_RECEIVED.line(operator=link.who))
+                self._note(log_messages.INPUT_RECEIVED.line(operator=link.identity))
                 entry = LineEntered(message.text, message.agent)
                 self._dispatch(entry, lambda found: self._answer(link, InputResult(cast(str, found))))
             case StartRequest():
@@ -150,13 +150,15 @@ class ObserverSessions:
     def _call_portal(self, message: PortalCallRequest, link: Link) -> None:
         """Start a portal call; `on_call_result` sends the answer, perhaps at once."""
         self._await_result(message.id, link)
-        self._dispatch(PersonCalled(message, *_caller(link.who, is_assistant=message.is_assistant)), None)
+        self._dispatch(
+            PersonCalled(message, *_caller(link.identity, is_assistant=message.is_assistant)), None
+        )
 
     def _cancel_call(self, message: PortalCallCancel, link: Link) -> None:
         """Cancel a call of this person, or of an assistant of this person."""
         self._await_result(message.id, link)
         for is_assistant in (False, True):
-            caller = _caller(link.who, is_assistant=is_assistant)
+            caller = _caller(link.identity, is_assistant=is_assistant)
             self._dispatch(PersonCallCancelled(message.id, *caller), None)
 
     def _await_result(self, id: bytes, link: Link) -> None:
@@ -181,7 +183,7 @@ class ObserverSessions:
         """
         startup = self._core.startup
         answers: list[StartResponse] = []
-        self._note(log_messages.START_REQUESTED.line(operator=link.who))
+        self._note(log_messages.START_REQUESTED.line(operator=link.identity))
         self._dispatch(
             StartOrdered(list(message.without)), lambda found: answers.append(cast(StartResponse, found))
         )

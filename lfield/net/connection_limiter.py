@@ -41,12 +41,12 @@ class ConnectionLimiter(Generic[G]):
         """Admit a connection; `last`: evict a connection even below the limit. Returns the evicted one, or
         None.
         """
-        full = last or len(self._addresses) >= self._limit
-        pushed = self._pick_evicted() if full and self._addresses else None
-        if pushed is not None:
-            self.release(pushed)
+        is_full = last or len(self._addresses) >= self._limit
+        evicted = self._pick_evicted() if is_full and self._addresses else None
+        if evicted is not None:
+            self.release(evicted)
         self._addresses[connection] = address
-        return pushed
+        return evicted
 
     def __iter__(self) -> Iterator[G]:
         return iter(list(self._addresses))
@@ -65,6 +65,10 @@ class ConnectionLimiter(Generic[G]):
     def _pick_evicted(self) -> G:
         groups = {client: (address, self._stage(client)) for client, address in self._addresses.items()}
         counts = Counter(groups.values())
-        worst = max((count, self._sources.trust(address)) for (address, _), count in counts.items())
-        found = [g for g, group in groups.items() if (counts[group], self._sources.trust(group[0])) == worst]
-        return self._rng.choice(found)
+        worst_group = max((count, self._sources.trust(address)) for (address, _), count in counts.items())
+        candidates = [
+            client
+            for client, group in groups.items()
+            if (counts[group], self._sources.trust(group[0])) == worst_group
+        ]
+        return self._rng.choice(candidates)

@@ -76,7 +76,7 @@ class FramedLink:
 
     def __init__(self, peer: str, max_block: int) -> None:
         self.peer = peer
-        self.who: Identity = ANONYMOUS
+        self.identity: Identity = ANONYMOUS
         self.closed = self.is_answered = False
         #: The data withheld while coordinators and answers are withheld, else None; since then, the weight of
         #: the messages that arrived, and their coordinators.
@@ -334,25 +334,25 @@ class FramedLink:
         """As `received`, for a sender of possibly thousands of messages: each step processes at most one
         message.
         """
-        rest = memoryview(data)
+        remaining = memoryview(data)
         while True:
             yield
             if self.closed:
                 return
-            size = self._decoder.next_frame_length(rest)
-            self.received(rest[:size])
-            rest = rest[size:]
-            if not rest:
+            size = self._decoder.next_frame_length(remaining)
+            self.received(remaining[:size])
+            remaining = remaining[size:]
+            if not remaining:
                 return
 
     def on_eof(self, error: LfieldError | None) -> None:
         """The stream has ended; the first known reason is reported."""
-        half = not self.closed and (self._decoder.is_mid_frame or self._parts.is_mid_frame)
+        is_cut = not self.closed and (self._decoder.is_mid_frame or self._parts.is_mid_frame)
         self.closed = True
         # Release the buffers now, not at garbage collection: unauthenticated links must not accumulate.
         self._decoder.discard_partial()
         self._parts.discard_partial()
-        if self._error is None and error is None and half:
+        if self._error is None and error is None and is_cut:
             error = WireError("peer closed the link in the middle of a message")
         self.handler.on_closed(self, self._error or error)
 

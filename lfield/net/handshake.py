@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 class Handshake:
     """The handshake of one link, as seen from one side.
 
-    `own` is the Hello of this side, `who` the authenticated peer, and `decision` its present authorisation,
-    replaced when it is reassessed. `hosts` are the names in the deployment, `linked` the incarnations of the
-    hosts with a live link when `own` was made: the link of an earlier incarnation of the peer must be closed,
-    since `own` does not include the messages that it may still send. `dialled` is the name of the dialled
-    host; None on the accepting side. An observer (`own.role`) has no deployment: it passes no hosts and
-    accepts any host.
+    `own` is the Hello of this side, `identity` the authenticated peer, and `decision` its present
+    authorisation, replaced when it is reassessed. `hosts` are the names in the deployment, `linked` the
+    incarnations of the hosts with a live link when `own` was made: the link of an earlier incarnation of the
+    peer must be closed, since `own` does not include the messages that it may still send. `dialled` is the
+    name of the dialled host; None on the accepting side. An observer (`own.role`) has no deployment: it
+    passes no hosts and accepts any host.
 
     Send `first_message`, pass every message to `receive` until `peer` is set, and later ones to `admit`. When
     one of them raises an error, send `refusal`, if any, and close the link with the error.
@@ -39,14 +39,14 @@ class Handshake:
     def __init__(
         self,
         own: Hello,
-        who: Identity,
+        identity: Identity,
         *,
         decision: AdmissionDecision = ALLOWED,
         hosts: Collection[str] = (),
         linked: Mapping[str, int] | None = None,
         dialled: str | None = None,
     ) -> None:
-        self.own, self.who, self.decision = own, who, decision
+        self.own, self.identity, self.decision = own, identity, decision
         self.peer: Hello | None = None
         self.refusal: HandshakeRefused | None = None
         #: The bundle of a refused peer; b"" if the peer has none or the bundle is unknown.
@@ -60,20 +60,20 @@ class Handshake:
 
     def first_message(self) -> Hello:
         """The first message. Raises HandshakeError if the peer must receive no data of this host."""
-        who = self.who
-        if who.kind == "stranger":
+        identity = self.identity
+        if identity.kind == "stranger":
             self._refuse("unknown certificate authority: hosts and operators have keys from 'lfield keys'")
-        if who.kind == "local" and not who.may:
+        if identity.kind == "local" and not identity.may:
             self._refuse(
-                f"the host is run by {who}, and a command trusts only its own user, root, and the group "
+                f"the host is run by {identity}, and a command trusts only its own user, root, and the group "
                 "'lfield': use sudo, if it is a host of yours"
                 if self.own.role == "observer"
-                else f"{who} has no permission here: join the group 'lfield', which may observe and stop, or "
-                "use sudo"
+                else f"{identity} has no permission here: join the group 'lfield', which may observe and "
+                "stop, or use sudo"
             )
         if self.decision.extent == "nothing":
             self._refuse(self.decision.why)
-        return self.own if who.kind == "host" else self.own.summary
+        return self.own if identity.kind == "host" else self.own.summary
 
     def receive(self, message: Message) -> Hello:
         """The peer's accepted Hello. Raises HandshakeError, and WireError for any other message."""
@@ -106,20 +106,24 @@ class Handshake:
             raise WireError("received a second Hello on one link")
         if self.peer is None:
             raise WireError(f"received {type(message).__name__} before the handshake")
-        if self.peer.role == "observer" and (why := missing_permission(self.who, self.decision, message)):
-            self.refusal = HandshakeRefused(why)
-            raise HandshakeError(why)
+        if self.peer.role == "observer" and (
+            reason := missing_permission(self.identity, self.decision, message)
+        ):
+            self.refusal = HandshakeRefused(reason)
+            raise HandshakeError(reason)
 
     def _check_identity(self, hello: Hello) -> None:
         """The claimed identity must not exceed the authenticated one."""
-        who = self.who
-        if hello.role == "observer" or (self.own.role == "observer" and who.kind == "local"):
+        identity = self.identity
+        if hello.role == "observer" or (self.own.role == "observer" and identity.kind == "local"):
             return
-        if who.kind != "host":
-            self._refuse(f"{self.own.host} accepts hosts by certificate, and {who} may only send commands")
-        if who.name != hello.host:
+        if identity.kind != "host":
             self._refuse(
-                f"{who} calls itself {hello.host}; the name in its certificate must be its name in the "
+                f"{self.own.host} accepts hosts by certificate, and {identity} may only send commands"
+            )
+        if identity.name != hello.host:
+            self._refuse(
+                f"{identity} calls itself {hello.host}; the name in its certificate must be its name in the "
                 f"deployment: 'lfield keys host {hello.host}' makes one"
             )
         if self.own.role == "observer" and self._dialled not in (None, hello.host):
@@ -155,18 +159,18 @@ class Handshake:
         """
         if "observer" in (self.own.role, hello.role):
             return
-        different, remedy = self._first_difference(hello)
+        part_name, remedy = self._first_difference(hello)
         is_other_bundle = self.own.bundle and hello.bundle and self.own.bundle != hello.bundle
-        if not (different or is_other_bundle):
+        if not (part_name or is_other_bundle):
             return
-        self.refused_bundle = theirs = hello.bundle or hello.built
-        ours = self.own.bundle or self.own.built
-        if ours and theirs and ours != theirs:
-            part = f", which differ in their {different}" if different else ""
+        self.refused_bundle = peer_bundle = hello.bundle or hello.built
+        own_bundle = self.own.bundle or self.own.built
+        if own_bundle and peer_bundle and own_bundle != peer_bundle:
+            difference = f", which differ in their {part_name}" if part_name else ""
             self._refuse(
-                f"{self.own.host} runs bundle {short_digest(ours)} and {hello.host} runs bundle "
-                f"{short_digest(theirs)}{part}: copy one of the two to both, and give a robot what is its "
-                "own with --devices"
+                f"{self.own.host} runs bundle {short_digest(own_bundle)} and {hello.host} runs bundle "
+                f"{short_digest(peer_bundle)}{difference}: copy one of the two to both, and give a robot "
+                "what is its own with --devices"
             )
         self._refuse(remedy)
 
@@ -183,11 +187,12 @@ class Handshake:
             ),
             ("access rules", self.own.access, hello.access, "the same .access.yaml file"),
         )
-        for what, ours, theirs, remedy in pairs:
-            if ours != theirs:
-                return what, (
-                    f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
-                    f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
+        for part, own_digest, peer_digest, source in pairs:
+            if own_digest != peer_digest:
+                return part, (
+                    f"{self.own.host} has {part} {own_digest.hex()[:12] or '(none)'} and {hello.host} has "
+                    f"{part} {peer_digest.hex()[:12] or '(none)'}; start both from {source}, or from "
+                    "one bundle"
                 )
         return "", ""
 
@@ -213,19 +218,21 @@ class Handshake:
     def _check_recovery(self, hello: Hello) -> None:
         """Majorities of different member sets need not intersect."""
         if "observer" not in (self.own.role, hello.role) and self.own.recovery != hello.recovery:
-            ours, theirs = self.own.recovery or "no host", hello.recovery or "no host"
+            own_members, peer_members = self.own.recovery or "no host", hello.recovery or "no host"
             self._refuse(
-                f"on {self.own.host} coordinators are recovered by {ours} and on {hello.host} by {theirs}; "
-                "give both the same 'recovery' in their devices files"
+                f"on {self.own.host} coordinators are recovered by {own_members} and on {hello.host} by "
+                f"{peer_members}; give both the same 'recovery' in their devices files"
             )
 
     def _check_origin(self, hello: Hello) -> None:
         """Different map origins send a device to different places."""
         if "observer" not in (self.own.role, hello.role) and self.own.origin != hello.origin:
-            ours, theirs = (f"from {o}" if o else "from each home" for o in (self.own.origin, hello.origin))
+            own_origin, peer_origin = (
+                f"from {origin}" if origin else "from each home" for origin in (self.own.origin, hello.origin)
+            )
             self._refuse(
-                f"{self.own.host} counts places {ours} and {hello.host} {theirs}; give both the same "
-                "'frame: {origin: ...}' in their devices files"
+                f"{self.own.host} counts places {own_origin} and {hello.host} {peer_origin}; give both the "
+                "same 'frame: {origin: ...}' in their devices files"
             )
 
     def _check_reservation(self, hello: Hello) -> None:

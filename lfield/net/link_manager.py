@@ -66,8 +66,8 @@ class LinkManager:
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
         self._admission, self.now = admission or AdmissionPolicy(), clock.monotonic
-        self._hosts, self._addresses, self._here, self._neighbours, _ = team
-        hosts, here = team.hosts, team.here
+        self._hosts, self._addresses, self._number, self._neighbours, _ = team
+        hosts, own_number = team.hosts, team.own_number
         #: Hosts needed permanently, and hosts needed until a time.
         self._desired: frozenset[str] = frozenset()
         self._required_until: dict[str, float] = {}
@@ -78,7 +78,7 @@ class LinkManager:
         self._links: dict[str, Session] = {}
         self.monitor = LinkMonitor(
             hosts,
-            here,
+            own_number,
             self.now,
             owner.hybrid_clock,
             PING_EVERY if team.has_live_values else IDLE_PING_EVERY,
@@ -92,10 +92,10 @@ class LinkManager:
             RefusedHosts(hosts, lambda *refusal: owner.on_link_refused(*refusal)),
         )
         self._ungreeted: ConnectionLimiter[Session] = ConnectionLimiter(
-            MAX_HANDSHAKES, rng, lambda one: one.link.is_answered
+            MAX_HANDSHAKES, rng, lambda session: session.link.is_answered
         )
         self._observers: ConnectionLimiter[Session] = ConnectionLimiter(MAX_OBSERVERS, rng)
-        self._initial_contact = InitialContact(hosts, here)
+        self._initial_contact = InitialContact(hosts, own_number)
         #: Time of last contact of each unlinked host.
         self._last_contacts: dict[str, float] = {}
         #: The time since when each needed host has had no link, on the monotonic clock.
@@ -202,7 +202,7 @@ class LinkManager:
         if session is not None and not session.is_suspected:
             return
         # A neighbour earlier in the deployment dials.
-        if host in self._neighbours and self._hosts[host] < self._here and not self._is_unreachable(host):
+        if host in self._neighbours and self._hosts[host] < self._number and not self._is_unreachable(host):
             return
         caller = self._diallers.get(host)
         if caller is None or caller.is_over:
@@ -275,13 +275,13 @@ class LinkManager:
 
     # --- reports of sessions --------------------------------------------------------------------------
 
-    def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
+    def new_handshake(self, dialled: str | None, identity: Identity) -> Handshake:
         if dialled is None:
-            self._last_incoming[who.name] = self.now()
+            self._last_incoming[identity.name] = self.now()
         return Handshake(
             self._admission.sign_hello(self._owner.hello()),
-            who,
-            decision=self._admission.decide(who, expected=dialled or ""),
+            identity,
+            decision=self._admission.decide(identity, expected=dialled or ""),
             hosts=self._hosts,
             linked=live_incarnations(self._links, self.needs_link, self.now()),
             dialled=dialled,
@@ -293,7 +293,7 @@ class LinkManager:
         own = caller.session if caller is not None else None
         if own is None or not own.connected:
             return False
-        if self._here < self._hosts.get(host, -1):
+        if self._number < self._hosts.get(host, -1):
             # A host that dials long after its link was accepted has lost this link, perhaps undetected here.
             return made_at < own.linked_at
         if not own.linked:
@@ -309,13 +309,12 @@ class LinkManager:
         links, others = self._links.values(), (*self._observers, *self._ungreeted, *dialling)
         for session in dict.fromkeys((*links, *others)):
             if session.connected:
-                session.on_reauthorised(self._admission.decide(session.link.who, linked=session in links))
+                identity = session.link.identity
+                session.on_reauthorised(self._admission.decide(identity, linked=session in links))
         self.standbys.close_rejected()
 
     def _on_revocations(self, data: bytes) -> None:
-        """Apply a certificate revocation list; forward a new list to all hosts, and to the revoked
-        ones last.
-        """
+        """Apply a certificate revocation list; forward a new one to all hosts, the revoked ones last."""
         if apply_revocations(self._admission, data, self._owner.note):
             for host in self._links:
                 self.send(host, RevocationUpdate(data))
@@ -329,7 +328,7 @@ class LinkManager:
     def on_greeted(self, session: Session, hello: Hello) -> None:
         """A link has completed its handshake on both sides."""
         self._ungreeted.on_authenticated(session, source_of(session.link.peer))
-        self._admission.on_handshake(session.link.who, hello)
+        self._admission.on_handshake(session.link.identity, hello)
         if warning := self._admission.clock_warning():
             self.log_once(warning)
         if hello.role == "host" and hello.revoked < self._admission.number:
@@ -338,9 +337,9 @@ class LinkManager:
             self._on_linked(session, hello)
             return
         session.link.count_in(self.monitor.observers)
-        pushed = self._observers.admit(session, str(session.link.who))
-        if pushed is not None:
-            pushed.reject(f"over {MAX_OBSERVERS} {TOO_MANY_OBSERVERS}")
+        evicted = self._observers.admit(session, str(session.link.identity))
+        if evicted is not None:
+            evicted.reject(f"over {MAX_OBSERVERS} {TOO_MANY_OBSERVERS}")
 
     def _on_linked(self, session: Session, hello: Hello) -> None:
         self.monitor.on_linked(hello.host, session.link)

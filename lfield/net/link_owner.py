@@ -104,7 +104,7 @@ class RateLimitedLog:
 
 
 class TeamAddresses(NamedTuple):
-    """The hosts of the deployment with their numbers, and their addresses; `here` is the number of this host.
+    """The hosts of the deployment with their numbers, and their addresses; `own_number` is that of this host.
 
     `neighbours` are the hosts that need a link with this host, as this host needs one with them. With live
     values, which age between two heartbeats, the heartbeats of idle links are as frequent as those of busy
@@ -113,7 +113,7 @@ class TeamAddresses(NamedTuple):
 
     hosts: Mapping[str, int]
     addresses: Sequence[str]
-    here: int
+    own_number: int
     neighbours: Collection[str]
     has_live_values: bool = False
 
@@ -121,33 +121,33 @@ class TeamAddresses(NamedTuple):
 class InitialContact:
     """First contacts with the other hosts: a handshake, or a failed attempt to dial.
 
-    `hosts` are the hosts of the deployment with their numbers; `here` is the number of this host.
+    `hosts` are the hosts of the deployment with their numbers; `own_number` is that of this host.
     """
 
-    def __init__(self, hosts: Mapping[str, int], here: int) -> None:
-        self._hosts, self._here = hosts, here
+    def __init__(self, hosts: Mapping[str, int], own_number: int) -> None:
+        self._hosts, self._own_number = hosts, own_number
         self._contacted = set[str]()
-        self._made = asyncio.Event()
+        self._completed = asyncio.Event()
         if len(hosts) == 1:
-            self._made.set()
+            self._completed.set()
 
     @property
     def missing(self) -> list[str]:
         """The hosts without a contact so far."""
-        others = (host for host, number in self._hosts.items() if number != self._here)
+        others = (host for host, number in self._hosts.items() if number != self._own_number)
         return sorted(host for host in others if host not in self._contacted)
 
     def on_contact(self, host: str) -> None:
         """A host has completed a handshake, or an attempt to dial it has failed."""
         self._contacted.add(host)
         if len(self._contacted) >= len(self._hosts) - 1:
-            self._made.set()
+            self._completed.set()
 
     async def wait(self, bound: float) -> None:
         """Return when no host is missing, at most after `bound` seconds."""
         with suppress(TimeoutError):
             async with asyncio.timeout(bound):
-                await self._made.wait()
+                await self._completed.wait()
 
 
 class RefusedHosts:

@@ -25,14 +25,14 @@ def own_host(hosts: Sequence[str], addresses: Mapping[str, str]) -> str:
         socket.gethostname().lower().split(".")[0],
     }
     named = [host for host in hosts if host.lower() in names]
-    found = named or [
+    matches = named or [
         host for host in hosts if any(map(_is_own_address, split_addresses(addresses.get(host, host))))
     ]
-    if len(found) == 1:
-        return found[0]
-    which = "several hosts" if found else "no host"
+    if len(matches) == 1:
+        return matches[0]
+    subject = "several hosts" if matches else "no host"
     raise UsageError(
-        f"{which} of the deployment ({', '.join(hosts)}) is this machine ({socket.gethostname()}); "
+        f"{subject} of the deployment ({', '.join(hosts)}) is this machine ({socket.gethostname()}); "
         "name one with --host, or run all of them here with --all"
     )
 
@@ -58,13 +58,13 @@ def require_port_free(address: str) -> None:
 
     Other errors of an address are reported when a host listens there.
     """
-    for each in split_addresses(address):
+    for part in split_addresses(address):
         try:
-            for at in _resolved(each):
-                bound_socket(at, at.address[1]).close()
+            for endpoint in _resolved(part):
+                bound_socket(endpoint, endpoint.address[1]).close()
         except (OSError, UnicodeError) as error:
             if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
-                raise AddressError(each, describe(error)) from None
+                raise AddressError(part, describe(error)) from None
 
 
 def _resolved(address: str) -> Iterator[ResolvedAddress]:
@@ -77,18 +77,18 @@ def open_listening_socket(address: str) -> tuple[socket.socket, str]:
 
     Of several addresses, the first of this computer. Raises AddressError.
     """
-    refused: OSError | UnicodeError | None = None
+    first_error: OSError | UnicodeError | None = None
     try:
-        for at in _resolved(address):
+        for endpoint in _resolved(address):
             try:
-                reserved = bound_socket(at, at.address[1])
+                listening = bound_socket(endpoint, endpoint.address[1])
             except OSError as error:
-                refused = refused or error
+                first_error = first_error or error
                 continue
-            reserved.setblocking(True)
-            reserved.listen()
-            reserved.set_inheritable(True)
-            return reserved, socket_address(reserved.getsockname())
+            listening.setblocking(True)
+            listening.listen()
+            listening.set_inheritable(True)
+            return listening, socket_address(listening.getsockname())
     except (OSError, UnicodeError) as error:
-        refused = error
-    raise AddressError(address, describe(refused or OSError(errno.EADDRNOTAVAIL, ""))) from None
+        first_error = error
+    raise AddressError(address, describe(first_error or OSError(errno.EADDRNOTAVAIL, ""))) from None

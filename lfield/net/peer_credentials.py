@@ -37,26 +37,26 @@ _SO_PEERGROUPS = 59
 _GROUPS = 1024
 
 
-def identity_of_caller(made: socket.socket) -> Identity:
+def identity_of_caller(unix_socket: socket.socket) -> Identity:
     """The process that connected to a Unix socket of this one."""
-    return _peer_identity(made, caller_identity)
+    return _peer_identity(unix_socket, caller_identity)
 
 
-def identity_of_listener(made: socket.socket) -> Identity:
+def identity_of_listener(unix_socket: socket.socket) -> Identity:
     """The process that listens at a Unix socket to which this one connected. The identity has all permissions
     in `may` if it is trusted.
     """
-    return _peer_identity(made, listener_identity)
+    return _peer_identity(unix_socket, listener_identity)
 
 
-def _peer_identity(made: socket.socket, identity_of: Callable[..., Identity]) -> Identity:
+def _peer_identity(unix_socket: socket.socket, identity_of: Callable[..., Identity]) -> Identity:
     try:
         _, user, group = _CREDENTIALS.unpack(
-            made.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+            unix_socket.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         )
     except OSError:
         return ANONYMOUS
-    return identity_of(user, {group, *_peer_groups(made)}, os.geteuid(), _group_id())
+    return identity_of(user, {group, *_peer_groups(unix_socket)}, os.geteuid(), _group_id())
 
 
 def listener_identity(user: int, groups: Collection[int], own: int, members: int | None) -> Identity:
@@ -76,9 +76,9 @@ def caller_identity(user: int, groups: Collection[int], own: int, members: int |
     return Identity("local", _name_of(user), may)
 
 
-def _peer_groups(made: socket.socket) -> list[int]:
+def _peer_groups(unix_socket: socket.socket) -> list[int]:
     try:
-        data = made.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUPS)
+        data = unix_socket.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUPS)
     except OSError:
         return []
     return [number for (number,) in struct.iter_unpack("I", data[: len(data) // 4 * 4])]

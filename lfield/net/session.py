@@ -31,7 +31,7 @@ HANDSHAKE_TIMEOUT, ANSWER_TIMEOUT = 10.0, 5.0
 class SessionOwner(Protocol):
     """The owner of a host's sessions."""
 
-    def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
+    def new_handshake(self, dialled: str | None, identity: Identity) -> Handshake:
         """The handshake for a new link, created when it can be sent."""
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
@@ -89,7 +89,7 @@ class Session:
         self.dialled = dialled
         self.connected = False
         #: The time when the link was made, and when the peer accepted it.
-        self.made, self.linked_at = self._now(), math.inf
+        self.made_at, self.linked_at = self._now(), math.inf
         self.hello: Hello | None = None
         #: The time when data last arrived, and when this host last had no use for the link.
         self.last_received = self.last_idle = 0.0
@@ -118,7 +118,7 @@ class Session:
         """Wait for the Hello of a caller, with a time-out. A stranger receives no data before the Hello."""
         self.link = link
         self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
-        if link.who.kind != "stranger":
+        if link.identity.kind != "stranger":
             self.open(link)
 
     def open(self, link: Link) -> None:
@@ -140,7 +140,7 @@ class Session:
         if self.connected:
             return
         self.link, self.connected = link, True
-        self._handshake = self._owner.new_handshake(self.dialled, link.who)
+        self._handshake = self._owner.new_handshake(self.dialled, link.identity)
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
         with suppress(AddressError):
@@ -194,7 +194,7 @@ class Session:
         if (
             self.dialled is None
             and hello.role == "host"
-            and self._owner.prefers_outgoing(hello.host, self.made)
+            and self._owner.prefers_outgoing(hello.host, self.made_at)
         ):
             link.close()
             return
@@ -235,21 +235,23 @@ class Session:
 
         The host may not have completed a handshake: handshakes can exceed the budget too.
         """
-        self.link, who = link, link.who
+        self.link, identity = link, link.identity
         if not error.closes:
             self._owner.note(
                 log_messages.PEER_SLOWED.line(
-                    peer=who, caller=self.caller, reason=error, seconds=error.seconds
+                    peer=identity, caller=self.caller, reason=error, seconds=error.seconds
                 )
             )
             return
-        wait = self._owner.ban(who.name)
+        wait = self._owner.ban(identity.name)
         self._owner.note(
             log_messages.PEER_BANNED.line(
-                peer=who, caller=self.caller, reason=error, name=who.name, seconds=wait
+                peer=identity, caller=self.caller, reason=error, name=identity.name, seconds=wait
             )
         )
-        self.close_with_error(f"{who.name} sends too much; {who.name} is accepted again after {wait:g} s")
+        self.close_with_error(
+            f"{identity.name} sends too much; {identity.name} is accepted again after {wait:g} s"
+        )
         self._owner.on_link_closed(self)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
@@ -258,8 +260,10 @@ class Session:
         if isinstance(error, HandshakeError) and not self.linked:
             self._report_refusal()
         # The end of an observer's link is not logged.
-        went = self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
-        if error and not self.dialled and not went and not isinstance(error, CpuBudgetExceeded):
+        is_observer_end = (
+            self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
+        )
+        if error and not self.dialled and not is_observer_end and not isinstance(error, CpuBudgetExceeded):
             # The log has the address without the port, which differs for each attempt.
             self._log_once(error.reason if isinstance(error, AddressError) else str(error))
         self._owner.on_link_closed(self)
@@ -269,12 +273,12 @@ class Session:
     def on_reauthorised(self, verdict: AdmissionDecision) -> None:
         """Apply a changed authorisation: close the link, or reduce its permissions."""
         self._handshake.reauthorise(verdict)
-        who, why = self.link.who, verdict.why
+        identity, reason = self.link.identity, verdict.why
         if verdict.extent == "nothing":
-            self._owner.log_once(log_messages.PEER_REFUSED.line(peer=who, reason=why))
-            self.close_with_error(why)
-        elif why:
-            self._owner.log_once(log_messages.PEER_RESTRICTED.line(peer=who, reason=why))
+            self._owner.log_once(log_messages.PEER_REFUSED.line(peer=identity, reason=reason))
+            self.close_with_error(reason)
+        elif reason:
+            self._owner.log_once(log_messages.PEER_RESTRICTED.line(peer=identity, reason=reason))
 
     def close_with_error(self, reason: str) -> None:
         """Send the reason, and close the link."""
@@ -320,7 +324,7 @@ class Session:
 
     def _report_refusal(self) -> None:
         """Report the dialled host, or the host in its certificate, as refused."""
-        host = self.dialled or (self.link.who.name if self.link.who.kind == "host" else "")
+        host = self.dialled or (self.link.identity.name if self.link.identity.kind == "host" else "")
         if host and self.connected:
             refusal = self._handshake.refusal
             reason = refusal.reason if refusal else self.reason

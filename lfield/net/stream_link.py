@@ -168,7 +168,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         super().accept_role(role)
         self._is_greeted_observer = role == "observer"
         self._is_direct = not self._is_greeted_observer
-        self._is_rationed = self._is_direct and self.who.kind == "host"
+        self._is_rationed = self._is_direct and self.identity.kind == "host"
         if self._is_rationed:
             self._join()
         if self._is_greeted_observer:
@@ -217,16 +217,16 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
         name = transport.get_extra_info("peername")
         self.peer = CLOSED_PEER if name is None else socket_address(name)
-        made = transport.get_extra_info("socket")
-        if made.family == socket.AF_UNIX:
-            self.who = identity_of_listener(made) if self._calls else identity_of_caller(made)
+        sock = transport.get_extra_info("socket")
+        if sock.family == socket.AF_UNIX:
+            self.identity = identity_of_listener(sock) if self._calls else identity_of_caller(sock)
             self.mark_local()
         else:
-            set_options(made)
-            self._socket = made
+            set_options(sock)
+            self._socket = sock
             if is_this_computer(self.peer):
                 self.mark_local()
-            self.who = self._identify(self.peer)
+            self.identity = self._identify(self.peer)
         self._transport.set_write_buffer_limits(high=HIGH_WATER)
         self.handler = self._on_link(self)
 
@@ -244,7 +244,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
     def _join(self) -> None:
         """The peer was authenticated as a member."""
         if not self._member:
-            self._member = str(self.who)
+            self._member = str(self.identity)
             self._scheduler.members.join(self, self._member)
 
     def _process_coming(self, coming: Iterator[None]) -> None:
@@ -262,13 +262,13 @@ class StreamLink(FramedLink, asyncio.Protocol):
         if self._is_rationed:
             self._scheduler.members.add(self, self._member)
         else:
-            self._scheduler.add(self, str(self.who))
+            self._scheduler.add(self, str(self.identity))
         self._update_reading()
 
     @property
     def _is_observer(self) -> bool:
         """Whether the peer is no host, as far as known. A returning host does not wait for other peers."""
-        return self._is_greeted_observer or (not self._is_direct and self.who.kind in OBSERVER_KINDS)
+        return self._is_greeted_observer or (not self._is_direct and self.identity.kind in OBSERVER_KINDS)
 
     def pause_reading(self, *, on: bool) -> None:
         """See `MemberLink.pause_reading`."""

@@ -71,7 +71,7 @@ class TcpTransport:
         self.note: Callable[[LogLine], None] = lambda line: None
         #: Addresses that failed lately.
         self._unanswered: set[ResolvedAddress] = set()
-        self._pace = RetryPace()
+        self._retry_pace = RetryPace()
 
     def log_to(self, note: Callable[[LogLine], None]) -> None:
         """Write log lines with `note` from now on."""
@@ -89,17 +89,17 @@ class TcpTransport:
         def called() -> StreamLink:
             return self.new_link(on_link, plain=plain, calls=False)
 
-        async def serve(made: socket.socket) -> LinkServer:
+        async def serve(listening: socket.socket) -> LinkServer:
             # A port that is in use is reported here: uvloop returns a server without a socket in this case.
-            made.listen(ACCEPT_BACKLOG)
-            server = await loop.create_server(called, sock=made, backlog=ACCEPT_BATCH)
+            listening.listen(ACCEPT_BACKLOG)
+            server = await loop.create_server(called, sock=listening, backlog=ACCEPT_BATCH)
             _set_backlog(server)
-            return LinkServer(server, self._datagram_port(made))
+            return LinkServer(server, self._datagram_port(listening))
 
         try:
             if address.startswith("fd:"):
-                made = socket.socket(fileno=int(address[3:]))
-                return SocketListener(await serve(made), socket_address(made.getsockname()))
+                listening = socket.socket(fileno=int(address[3:]))
+                return SocketListener(await serve(listening), socket_address(listening.getsockname()))
             if plain:
                 path = _path(address)
                 server = await loop.create_unix_server(
@@ -131,7 +131,7 @@ class TcpTransport:
         def calling() -> StreamLink:
             return self.new_link(lambda _: handler, plain=plain, calls=True)
 
-        pause = self._pace.on_attempt(address, loop.time())
+        pause = self._retry_pace.on_attempt(address, loop.time())
         call = ConnectionAttempt(address, calling, self._unanswered, pause, host)
         try:
             async with asyncio.timeout(self._connect_timeout) as bound:
@@ -147,7 +147,7 @@ class TcpTransport:
                 def on_connected() -> None:
                     # The handshake has its full time, even if the connection was made late.
                     bound.reschedule(loop.time() + self._connect_timeout)
-                    self._pace.on_answer(address)
+                    self._retry_pace.on_answer(address)
 
                 return await call.connect(on_connected)
         except TimeoutError:
@@ -201,15 +201,15 @@ def _path(address: str) -> Path:
 
 def _bound_unix_socket(path: Path) -> socket.socket:
     """A socket bound to a free path, for users who may enter its folder."""
-    made = socket.socket(socket.AF_UNIX)
+    bound = socket.socket(socket.AF_UNIX)
     try:
-        made.bind(str(path))
+        bound.bind(str(path))
         folder = path.parent.stat()
         for_group = folder.st_mode & stat.S_IXGRP
         if for_group and path.lstat().st_gid != folder.st_gid:
             os.chown(path, -1, folder.st_gid)
         path.chmod(0o660 if for_group else 0o600)
     except OSError:
-        made.close()
+        bound.close()
         raise
-    return made
+    return bound

@@ -1,7 +1,7 @@
 """TLS 1.3 with mutual authentication for one link. Sans-IO: bytes in, bytes and plain text out.
 
 OpenSSL checks the signature of the team's CA, but not the validity period, which
-`lfield.authority.peer_verification` checks. `who` is the peer, a stranger until both certificates are
+`lfield.authority.peer_verification` checks. `identity` is the peer, a stranger until both certificates are
 verified. Before that no application data is sent.
 
 Between two processes that had a link, the next link resumes its session (RFC 8446, 2.2): without
@@ -61,7 +61,7 @@ class TlsIdentity:
     OpenSSL cannot use.
     """
 
-    def __init__(self, keys: Keys, on_verified: OnVerified = lambda certificate, who: None) -> None:
+    def __init__(self, keys: Keys, on_verified: OnVerified = lambda certificate, identity: None) -> None:
         self._on_verified = on_verified
         self._calling, self._called = (
             ssl.SSLContext(side) for side in (ssl.PROTOCOL_TLS_CLIENT, ssl.PROTOCOL_TLS_SERVER)
@@ -78,14 +78,14 @@ class TlsIdentity:
 
     def own_identity(self) -> Identity:
         """The identity of a host with these keys, checked by a handshake with itself. Raises KeysError."""
-        near, far = self.channel(calls=True), self.channel(calls=False)
+        calling, called = self.channel(calls=True), self.channel(calls=False)
         try:
-            while not far.proven and (said := near.data_to_send()):
-                list(far.receive(said))
-                list(near.receive(far.data_to_send()))
+            while not called.proven and (outgoing := calling.data_to_send()):
+                list(called.receive(outgoing))
+                list(calling.receive(called.data_to_send()))
         except LfieldError as error:
             raise KeysError(f"keys rejected for a host: {error}") from None
-        return far.who
+        return called.identity
 
     def channel(self, *, calls: bool, address: str = "") -> TlsChannel:
         """One end of a new link, accepting or dialling; `address` is the dialled address."""
@@ -122,7 +122,7 @@ class TlsChannel:
         self._tls = context.wrap_bio(self._incoming, self.outgoing, server_side=not calls, session=session)
         self._has_received = 0
         #: The peer; a stranger until authenticated.
-        self.who: Identity = ANONYMOUS
+        self.identity: Identity = ANONYMOUS
         self.proven = False
         if calls:
             self._do_handshake()
@@ -184,21 +184,24 @@ class TlsChannel:
         """
         if self._has_received == 0 and len(data) and data[0] != _HANDSHAKE:
             raise WireError("received data is not TLS: the peer is not an lfield host, or an outdated one")
-        part, rest = data[: MAX_HANDSHAKE - self._has_received], data[MAX_HANDSHAKE - self._has_received :]
+        part, remaining = (
+            data[: MAX_HANDSHAKE - self._has_received],
+            data[MAX_HANDSHAKE - self._has_received :],
+        )
         self._has_received += len(part)
         self._incoming.write(part)
-        if not self._do_handshake() and len(rest):
+        if not self._do_handshake() and len(remaining):
             raise WireError(f"over {MAX_HANDSHAKE} bytes received before authentication")
-        return rest
+        return remaining
 
     def _do_handshake(self) -> bool:
         try:
             self._tls.do_handshake()
         except ssl.SSLWantReadError:
             return False
-        self.who, self.proven = identity_of(self._tls.getpeercert() or {}), True
-        if self.who.kind != "stranger":
-            self._on_verified(self._tls.getpeercert(binary_form=True) or b"", self.who)
+        self.identity, self.proven = identity_of(self._tls.getpeercert() or {}), True
+        if self.identity.kind != "stranger":
+            self._on_verified(self._tls.getpeercert(binary_form=True) or b"", self.identity)
         return True
 
 

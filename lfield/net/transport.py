@@ -67,7 +67,7 @@ class Link(Protocol):
         """The address of the peer, for messages."""
 
     @property
-    def who(self) -> Identity:
+    def identity(self) -> Identity:
         """The authenticated peer. The dialling side knows it when the link is made; the accepting side may
         see a stranger until the first message."""
 
@@ -162,10 +162,10 @@ def split_address(address: str) -> tuple[str, int]:
             raise AddressError(address, "a name in Zenoh has letters, digits, '-', '_' and '.'")
         return ZENOH + name, port_number
     if address.startswith("["):
-        host, bracket, rest = address[1:].partition("]")
-        if not bracket or (rest and not rest.startswith(":")):
+        host, bracket, suffix = address[1:].partition("]")
+        if not bracket or (suffix and not suffix.startswith(":")):
             raise AddressError(address, "an IPv6 address is written [ADDR] or [ADDR]:PORT")
-        port = rest[1:]
+        port = suffix[1:]
     else:
         host, _, port = address.partition(":")
     if not host:

@@ -110,7 +110,7 @@ async def send_request(
     asking, link = _RequestLink(request, host, crl), None
     try:
         link = await transport.connect(address, asking, host or "")
-        if link.who.kind == "stranger":
+        if link.identity.kind == "stranger":
             raise KeysError(
                 f"the host at {address} accepts commands only with keys: 'lfield keys person' "
                 "creates them; put them into ~/.config/lfield/keys/me, or name their folder with --keys"
@@ -156,7 +156,7 @@ class _RequestLink(ObserverLink, Generic[T]):
     def greet(self, link: Link) -> Handshake:
         """Start the handshake, once; a message may arrive before the connecting task runs."""
         if self._greeting is None:
-            self._greeting = Handshake(Hello("observer", "observer", 0), link.who, dialled=self._host)
+            self._greeting = Handshake(Hello("observer", "observer", 0), link.identity, dialled=self._host)
             link.send(self._greeting.first_message())
         return self._greeting
 

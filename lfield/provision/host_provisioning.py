@@ -294,11 +294,11 @@ class HostProvisioning:
 
     async def _installation(self, facts: RobotFacts) -> Installation:
         python = choose_python(facts)
-        made = await self._collect(target_of(facts, python), python)
-        if self._run.replaces_keys is None or not needs_new_key(facts, made.keys):
-            return made
-        self._report("keys", "note", f"the private key of {made.host} is lost; making a new one")
-        return replace(made, keys=self._run.replaces_keys(made.host))
+        installation = await self._collect(target_of(facts, python), python)
+        if self._run.replaces_keys is None or not needs_new_key(facts, installation.keys):
+            return installation
+        self._report("keys", "note", f"the private key of {installation.host} is lost; making a new one")
+        return replace(installation, keys=self._run.replaces_keys(installation.host))
 
     async def _permitted(self, steps: list[Step]) -> list[Step]:
         """The steps up to the first that would disturb a running mission, which refuses."""
@@ -307,9 +307,9 @@ class HostProvisioning:
             return steps
         if not await is_mission_running(self._connection):
             update = next((step for step in disturbing if step.name == "version"), None)
-            why = await update_refusal(self._connection, self._robot.name) if update is not None else ""
+            reason = await update_refusal(self._connection, self._robot.name) if update is not None else ""
             advice = "let them end, or 'lfield stop --discard'; then run provision again"
-            return steps if update is None or not why else _refused_from(steps, update, why, advice)
+            return steps if update is None or not reason else _refused_from(steps, update, reason, advice)
         return _refused_from(
             steps, disturbing[0], "a mission runs on the robot", "stop it, and run provision again"
         )
@@ -319,8 +319,8 @@ class HostProvisioning:
         update = next((step for step in steps if step.name == "version" and step.state == "todo"), None)
         if update is None or not (others := await self._run.gate.refusing(self._robot.name)):
             return steps
-        why = f"lfield is updated on all robots or none, and {listed(others)} cannot be updated"
-        return _refused_from(steps, update, why, "end the mission there, and run provision again")
+        reason = f"lfield is updated on all robots or none, and {listed(others)} cannot be updated"
+        return _refused_from(steps, update, reason, "end the mission there, and run provision again")
 
     def _report_step(self, step: Step) -> bool:
         """Report a step as it was planned; returns whether it does not refuse."""
@@ -357,9 +357,9 @@ class HostProvisioning:
         return not reason
 
 
-def _refused_from(steps: list[Step], first: Step, why: str, advice: str) -> list[Step]:
+def _refused_from(steps: list[Step], first: Step, reason: str, advice: str) -> list[Step]:
     """The steps before `first`, and a refusal in place of the rest."""
-    return [*steps[: steps.index(first)], Step("mission", "refused", why, advice)]
+    return [*steps[: steps.index(first)], Step("mission", "refused", reason, advice)]
 
 
 async def update_refusal(connection: SshConnection, host: str) -> str:

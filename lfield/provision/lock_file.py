@@ -33,8 +33,8 @@ class Pin:
 
     def is_wheel(self, file: str) -> bool:
         """Whether a file name is that of a wheel of this version."""
-        name, _, rest = file.partition("-")
-        return (normalized(name), rest.partition("-")[0]) == (normalized(self.name), self.version)
+        name, _, suffix = file.partition("-")
+        return (normalized(name), suffix.partition("-")[0]) == (normalized(self.name), self.version)
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,8 +61,8 @@ async def make_own_wheel(folder: Path) -> Path:
         str(folder),
     )
     await run_pip(*arguments, str(sources), what="lfield's own wheel cannot be built")
-    (made,) = folder.glob("lfield-*.whl")
-    return made
+    (wheel,) = folder.glob("lfield-*.whl")
+    return wheel
 
 
 def _sources() -> Path | None:

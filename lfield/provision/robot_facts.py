@@ -162,7 +162,7 @@ def parse_facts(output: str) -> RobotFacts:
     if not rows["time"] or not rows["machine"]:
         raise ValueError(output.strip() or "no output")
 
-    def one(key: str) -> str:
+    def value(key: str) -> str:
         return rows[key][-1][0] if rows[key] and rows[key][-1] else ""
 
     def named(key: str) -> frozenset[str]:
@@ -170,27 +170,27 @@ def parse_facts(output: str) -> RobotFacts:
 
     pythons = [_python(row) for row in rows["python"] if len(row) == 3]
     return RobotFacts(
-        time=float(one("time")),
-        arch=_architecture(one("machine"), one("bits")),
-        glibc=tuple(int(part) for part in one("glibc").split(".") if part.isdecimal()),
-        system=one("system"),
-        has_systemd=one("systemd") == "yes",
+        time=float(value("time")),
+        arch=_architecture(value("machine"), value("bits")),
+        glibc=tuple(int(part) for part in value("glibc").split(".") if part.isdecimal()),
+        system=value("system"),
+        has_systemd=value("systemd") == "yes",
         pythons=tuple({python.path: python for python in pythons}.values()),
         standalone=named("standalone"),
-        free=int(one("free") or 0) * 1024,
-        existing_groups=frozenset(one("existing").split()),
-        service_groups=frozenset(one("service").split()) if rows["service"] else None,
-        member_of=frozenset(one("member").split()),
+        free=int(value("free") or 0) * 1024,
+        existing_groups=frozenset(value("existing").split()),
+        service_groups=frozenset(value("service").split()) if rows["service"] else None,
+        member_of=frozenset(value("member").split()),
         versions=named("version"),
-        current=one("current"),
-        started=one("started"),
+        current=value("current"),
+        started=value("started"),
         wheels={row[0].rpartition("/")[2]: row[1] for row in rows["wheel"] if len(row) == 2},
         files={row[0]: row[1] for row in rows["file"] if len(row) == 2},
         modes={row[0]: row[1] for row in rows["mode"] if len(row) == 2},
-        has_private_keys_folder=one("keys") == "private",
-        is_enabled=one("enabled") == "enabled",
-        is_active=one("active") == "active",
-        host=one("host"),
+        has_private_keys_folder=value("keys") == "private",
+        is_enabled=value("enabled") == "enabled",
+        is_active=value("active") == "active",
+        host=value("host"),
     )
 
 

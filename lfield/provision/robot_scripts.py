@@ -106,9 +106,13 @@ def files_script(files: Sequence[RobotFile]) -> str:
     files.
     """
     folders = sorted({file.path.rpartition("/")[0] for file in files})
-    made = [f"[ -d {shlex.quote(f)} ] || install -d -m 755 {shlex.quote(f)}" for f in folders]
-    puts = [f"put {n} {shlex.quote(file.path)} {file.mode} {file.owner}" for n, file in enumerate(files)]
-    return "\n".join(["", f"rm -f {STARTED}", *made, *puts, ""])
+    folder_commands = [
+        f"[ -d {shlex.quote(folder)} ] || install -d -m 755 {shlex.quote(folder)}" for folder in folders
+    ]
+    file_commands = [
+        f"put {number} {shlex.quote(file.path)} {file.mode} {file.owner}" for number, file in enumerate(files)
+    ]
+    return "\n".join(["", f"rm -f {STARTED}", *folder_commands, *file_commands, ""])
 
 
 def keys_script(folder: str, files: Sequence[RobotFile]) -> str:
@@ -124,13 +128,13 @@ install -d -m 700 -o {SERVICE_USER} -g {SERVICE_USER} {path}
 def version_script(installation: Installation, wheels: Iterable[str], before: str) -> str:
     """Switch the link to the environment; remove others except the last one, and wheels of others."""
     environment = installation.payload.environment
-    kept = "|".join(shlex.quote(name) for name in {environment, before} if name)
+    kept_folders = "|".join(shlex.quote(name) for name in {environment, before} if name)
     files = "|".join(shlex.quote(name) for name in sorted(wheels))
     return f"""
 rm -f {STARTED}
 ln -s {shlex.quote(environment)} current; mv -fT current {CURRENT}
 cd {ROOT}
-for folder in [0-9]*/; do case "${{folder%/}}" in {kept}) ;; *) rm -rf "./$folder" ;; esac; done
+for folder in [0-9]*/; do case "${{folder%/}}" in {kept_folders}) ;; *) rm -rf "./$folder" ;; esac; done
 cd {WHEELS}
 for file in *.whl; do case "$file" in {files}) ;; *) rm -f "./$file" ;; esac; done
 sync

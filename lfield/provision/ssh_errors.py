@@ -53,14 +53,14 @@ def is_unreachable(message: str) -> bool:
 def connection_error(host: str, destination: SshDestination, message: str) -> ProvisionError:
     """The error of a connection that ssh could not make or has lost."""
     if "REMOTE HOST IDENTIFICATION HAS CHANGED" in message:
-        remedy = f"ssh-keygen -R {destination.address}; then '{destination.command()}' once"
-        return _error(host, "its host key has changed", f"if the robot was installed again: {remedy}")
+        advice_text = f"ssh-keygen -R {destination.address}; then '{destination.command()}' once"
+        return _error(host, "its host key has changed", f"if the robot was installed again: {advice_text}")
     if "Host key verification failed" in message:
         return _error(host, "its host key is unknown", f"run '{destination.command()}' once, and confirm it")
     if "Permission denied" in message or "Too many authentication failures" in message:
         user = destination.user or "the user of ssh"
-        remedy = f"run '{destination.command('ssh-copy-id')}', or load the key with ssh-add"
-        return _error(host, f"no key of this desk is accepted for {user}", remedy)
+        advice_text = f"run '{destination.command('ssh-copy-id')}', or load the key with ssh-add"
+        return _error(host, f"no key of this desk is accepted for {user}", advice_text)
     if is_unreachable(message):
         reason = f"{destination} is unreachable: {_last_line(message)}"
         return _error(host, reason, "switch the robot on, or correct its addresses in the inventory")
@@ -87,18 +87,20 @@ def access_error(host: str, destination: SshDestination, access: LoginAccess) ->
         line, reason = f"Defaults:{access.user} !requiretty", f"sudo of {access.user} requires a terminal"
     command = destination.command("ssh -t")
     file = "/etc/sudoers.d/lfield-provision"
-    remedy = f"{command} \"echo '{line}' | sudo tee {file}\"; remove that file when the robots are installed"
-    return _error(host, reason, remedy)
+    advice_text = (
+        f"{command} \"echo '{line}' | sudo tee {file}\"; remove that file when the robots are installed"
+    )
+    return _error(host, reason, advice_text)
 
 
 def command_error(host: str, step: str, status: int, message: str) -> ProvisionError:
     """The error of a command that has failed on the robot."""
     if "No space left on device" in message or "Disk quota exceeded" in message:
-        remedy = "free disk space on the robot (sudo apt-get clean), and run provision again"
-        return _error(host, f"{step}: the disk is full", remedy)
+        advice_text = "free disk space on the robot (sudo apt-get clean), and run provision again"
+        return _error(host, f"{step}: the disk is full", advice_text)
     if "Read-only file system" in message:
-        remedy = "check its card (dmesg), and run provision again"
-        return _error(host, f"{step}: the disk is read-only", remedy)
+        advice_text = "check its card (dmesg), and run provision again"
+        return _error(host, f"{step}: the disk is read-only", advice_text)
     if status == BUSY and not message.strip():
         reason = f"{step}: another provision has been running on the robot for {LOCK_TIMEOUT} s"
         return _error(host, reason, "wait for it, or end it there, and run provision again")

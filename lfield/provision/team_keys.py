@@ -41,8 +41,8 @@ def team_keys(folder: Path, names: Iterable[str], now: float) -> dict[str, tuple
 def replaced_keys(folder: Path, name: str, now: float) -> tuple[RobotFile, ...]:
     """New keys for a host, whose private key is neither on this desk nor on the robot. Raises KeysError."""
     with open_ledger(folder) as ledger:
-        made = ledger.renew("host", name, now, now + VALIDITY, new_key=True)
-        return _files(name, read_keys(made.folder, "host"))
+        ledger_keys = ledger.renew("host", name, now, now + VALIDITY, new_key=True)
+        return _files(name, read_keys(ledger_keys.folder, "host"))
 
 
 def keys_folder(name: str) -> str:
@@ -74,16 +74,19 @@ def _files(name: str, keys: Keys) -> tuple[RobotFile, ...]:
 
 def _current_folder(ledger: Ledger, name: str, now: float) -> Path:
     """The folder of a host's keys; makes or renews them. Raises KeysError."""
-    rows = [row for row in ledger.rows(now) if (row.who.kind, row.who.name) == ("host", name)]
+    rows = [row for row in ledger.rows(now) if (row.identity.kind, row.identity.name) == ("host", name)]
     if not rows:
         return ledger.make("host", name, (), now, now + VALIDITY).folder
-    valid = [row.who for row in rows if row.state != "revoked"]
+    valid = [row.identity for row in rows if row.state != "revoked"]
     folder = ledger.folder / "hosts" / name
     if not valid:
         raise KeysError(
             f"the keys of host {name} are revoked: if the robot is in your hands again, "
             f"'lfield keys host {name}' makes new ones"
         )
-    if max(who.valid_until for who in valid) - now > RENEWAL and (folder / certificate_name("host")).exists():
+    if (
+        max(identity.valid_until for identity in valid) - now > RENEWAL
+        and (folder / certificate_name("host")).exists()
+    ):
         return folder
     return ledger.renew("host", name, now, now + VALIDITY).folder

@@ -89,8 +89,8 @@ class WheelCache:
             handmade = list(self._handmade_wheels(pins, target))
             for path in handmade:
                 shutil.copyfile(path, Path(new, path.name))
-            rest = [pin for pin in pins if not any(pin.is_wheel(path.name) for path in handmade)]
-            await _download(rest, target, Path(new))
+            missing = [pin for pin in pins if not any(pin.is_wheel(path.name) for path in handmade)]
+            await _download(missing, target, Path(new))
             found = tuple(describe_wheel(path) for path in sorted(Path(new).glob("*.whl")))
             for wheel in found:
                 os.replace(Path(new, wheel.file), folder / wheel.file)

@@ -118,13 +118,15 @@ def coordinators_elsewhere(mission: BundleInfo | None, hosts: Collection[str]) -
 
 def _with_votes(state: ActivationState, votes: Mapping[str, Vote]) -> ActivationState:
     """The state after some votes of its last ballot; an activation takes effect."""
-    known = state.ballot
-    if known is None or known.ballot is None or known.outcome != "open":
+    state_of_ballot = state.ballot
+    if state_of_ballot is None or state_of_ballot.ballot is None or state_of_ballot.outcome != "open":
         return state
-    every = known.votes | {host: vote for host, vote in votes.items() if host in known.ballot.hosts}
-    result = ballot_outcome(known.ballot.hosts, every)
-    state = replace(state, ballot=replace(known, votes=every, outcome=result))
-    digest = known.ballot.digest
+    all_votes = state_of_ballot.votes | {
+        host: vote for host, vote in votes.items() if host in state_of_ballot.ballot.hosts
+    }
+    result = ballot_outcome(state_of_ballot.ballot.hosts, all_votes)
+    state = replace(state, ballot=replace(state_of_ballot, votes=all_votes, outcome=result))
+    digest = state_of_ballot.ballot.digest
     if result != "activated" or digest == state.active:
         return state
     earlier = (*state.earlier, state.active) if state.active else state.earlier

@@ -83,12 +83,12 @@ class BundleReceiver:
             return PieceRequest(offer.file, offer.first, [])
         now = self._now()
         self._uploads = {
-            file: one
-            for file, one in self._uploads.items()
-            if file != offer.file and now - one.at < UPLOAD_TIMEOUT
+            file: upload
+            for file, upload in self._uploads.items()
+            if file != offer.file and now - upload.at < UPLOAD_TIMEOUT
         }
         if len(self._uploads) >= MAX_UPLOADS:
-            senders = listed(list(dict.fromkeys(one.operator for one in self._uploads.values())))
+            senders = listed(list(dict.fromkeys(upload.operator for upload in self._uploads.values())))
             busy = f"other bundles are arriving, sent by {senders}: repeat it when they are stored"
             return PieceRequest(offer.file, offer.first, [], busy, retry=True)
         try:
@@ -104,8 +104,8 @@ class BundleReceiver:
         data = decompress(piece.data, is_compressed=piece.is_compressed)
         upload = self._uploads.get(piece.file)
         if upload is None:
-            gone = "it gave way to another upload, or another desk has sent the same file"
-            return PieceStored(piece.file, piece.number, gone, retry=True)
+            reason = "it gave way to another upload, or another desk has sent the same file"
+            return PieceStored(piece.file, piece.number, reason, retry=True)
         self._uploads[piece.file] = upload._replace(at=self._now())
         try:
             self._files.put(piece.file, piece.number, data)
@@ -232,7 +232,10 @@ class BundleVerifier:
 def homes_of(mission: Mission) -> dict[str, str]:
     """The coordinators of a mission, each with the host on which it starts."""
     team = mission.team
-    return {one.id: team.hosts[one.host] for one in team.initial_coordinators[:MAX_COORDINATORS]}
+    return {
+        coordinator.id: team.hosts[coordinator.host]
+        for coordinator in team.initial_coordinators[:MAX_COORDINATORS]
+    }
 
 
 def access_of(data: bytes) -> Access:

@@ -103,13 +103,13 @@ class LocalProcesses:
             if file is not None:
                 stack.enter_context(file)
             await _wait(process)
-            left = _read_result(file)
+            result = _read_result(file)
         child = self._children.pop(process.pid, None)
         status = child.wait() if child is not None else None
-        if status is None or (status < 0 and left.status is not None):
+        if status is None or (status < 0 and result.status is not None):
             # A signal after the end has not changed it.
-            status = left.status
-        return HostEnd(KILLED if status is None else status, left.reason)
+            status = result.status
+        return HostEnd(KILLED if status is None else status, result.reason)
 
     def terminate(self, process: ProcessId) -> None:
         """Request the process to end in order; a second request ends its wait for its devices."""

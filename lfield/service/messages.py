@@ -9,10 +9,10 @@ SERVICE_MESSAGES: dict[str, LogMessage] = {}
 
 
 def _message(code: str, template: str, level: Level = "info", meaning: str = "") -> LogMessage:
-    made = LogMessage(code, template, level, meaning)
+    message = LogMessage(code, template, level, meaning)
     assert code not in SERVICE_MESSAGES, code
-    SERVICE_MESSAGES[code] = made
-    return made
+    SERVICE_MESSAGES[code] = message
+    return message
 
 
 LISTENING = _message("service-listening", "{host} service listening on {address}; active bundle {bundle}")

@@ -74,9 +74,11 @@ class LocalProbe:
             vehicles = self._vehicles_of()
         except LfieldError as error:
             return f"the vehicles of the mission's host are unknown: {error}; 'lfield stop' ends it"
-        troubles = [_motion(name, devices.get(name)) for name in vehicles]
-        troubles += [f"{name} moves" for name, one in devices.items() if one.telemetry.get("moving") is True]
-        return "; ".join(trouble for trouble in troubles if trouble)
+        problems = [_motion(name, devices.get(name)) for name in vehicles]
+        problems += [
+            f"{name} moves" for name, device in devices.items() if device.telemetry.get("moving") is True
+        ]
+        return "; ".join(problem for problem in problems if problem)
 
     async def hold(self, ballot: bytes) -> str:
         """See `MissionProbe`."""
@@ -84,7 +86,7 @@ class LocalProbe:
             answer = await self._ask(_hold(ballot))
         except LfieldError as error:
             return f"it cannot be held: {_no_answer(error)}"
-        return "; ".join(f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble)
+        return "; ".join(f"{name}: {problem}" for name, problem in answer.devices.items() if problem)
 
     async def release(self) -> str:
         """See `MissionProbe`."""
@@ -105,8 +107,11 @@ class LocalProbe:
             status = await self._snapshot()
         except LfieldError:
             return found
-        running = {one.agent: one for one in _in_snapshot(status)}
-        return [*running.values(), *(one for one in found if one.agent not in running)]
+        running = {coordinator.agent: coordinator for coordinator in _in_snapshot(status)}
+        return [
+            *running.values(),
+            *(coordinator for coordinator in found if coordinator.agent not in running),
+        ]
 
     async def is_up(self) -> bool:
         """See `MissionProbe`."""
@@ -141,15 +146,15 @@ class LocalProbe:
             try:
                 answer = await self._ask(request)
             except LfieldError as error:
-                trouble = _no_answer(error)
+                problem = _no_answer(error)
             else:
-                trouble = answer.trouble
+                problem = answer.trouble
                 if answer.waiting is not None:
-                    trouble = answer.waiting.held or f"waiting for {listed(answer.waiting.hosts)}"
-                if not trouble:
+                    problem = answer.waiting.held or f"waiting for {listed(answer.waiting.hosts)}"
+                if not problem:
                     return ""
             await asyncio.sleep(START_DELAY)
-        return trouble
+        return problem
 
     async def discard(self, mission: str = "", reason: str = DISCARDED) -> list[str]:
         """See `MissionProbe`. Raises JournalError."""
@@ -161,7 +166,7 @@ class LocalProbe:
             with closing(FileJournal(path, owner, lambda text: None, self._clock)) as journal:
                 plan = plan_discard(self._host, journal.records(), reason)
                 await journal.persist(plan.pages)
-            ended += [page.agent for page in plan.discarded]
+            ended += [record.agent for record in plan.discarded]
         return list(dict.fromkeys(ended))
 
     # --- the running host -----------------------------------------------------------------------------
@@ -232,7 +237,10 @@ def _unfinished(records: list[Record], mission: str) -> Iterator[UnfinishedCoord
 
 def _in_snapshot(host: HostState) -> Iterator[UnfinishedCoordinator]:
     report = host.report
-    newest = {known.agent: known for known in sorted(report.coordinators, key=lambda one: one.generation)}
+    newest = {
+        known.agent: known
+        for known in sorted(report.coordinators, key=lambda coordinator: coordinator.generation)
+    }
     for known in newest.values():
         if known.state == "RUN":
             yield UnfinishedCoordinator(known.agent, "running", host.host, "")

@@ -224,8 +224,8 @@ class MissionRunner:
         now = self._clock.monotonic()
         bundle = self._record.bundle
         verdict = judge(end.status, end.reason, self._restarts, now)
-        short = short_digest(bundle)
-        self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
+        digest = short_digest(bundle)
+        self.note(messages.HOST_ENDED.line(bundle=digest, status=end.status, reason=verdict.reason))
         if end.status < 0 or end.status == exit_status.UNSAFE:
             # The vehicles may still move. The next host observes them, or an operator confirms that they
             # rest.
@@ -246,7 +246,7 @@ class MissionRunner:
             return False
         self.last_failure, self.may_have_missed_end = verdict.reason, True
         self._set_phase("waiting", verdict.reason, bundle, end.status)
-        self.note(messages.HOST_RESTART.line(bundle=short, seconds=RESTART_DELAY, reason=verdict.reason))
+        self.note(messages.HOST_RESTART.line(bundle=digest, seconds=RESTART_DELAY, reason=verdict.reason))
         await asyncio.sleep(RESTART_DELAY)
         self._restarts.append(self._clock.monotonic())
         if refusal := self._refusal(bundle):
@@ -339,7 +339,7 @@ class MissedEnd:
         self._next = now + min(LONGEST_PAUSE, now - self._first)
         answers = await ask_peers(ask, hosts, ServiceQuery())
         statuses = [answer for answer in answers if isinstance(answer, ServiceStatus)]
-        ended = [one.host for one in statuses if one.run.has_completed and one.run.order == order]
+        ended = [status.host for status in statuses if status.run.has_completed and status.run.order == order]
         if not ended:
             return ""
         runner.note(messages.MISSED_END.line(host=ended[0]))

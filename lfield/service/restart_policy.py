@@ -25,17 +25,19 @@ def judge(status: int, reason: str, earlier: Sequence[float], now: float) -> Ver
 
     `earlier` are the times of the restarts so far, in seconds as `now`.
     """
-    why = reason or (
+    reason_text = reason or (
         f"killed by signal {-status}"
         if status < 0
         else exit_status.MEANINGS.get(status, f"status {status}").partition(";")[0]
     )
     if status == exit_status.NO_OUTPUT and not reason:
         # On a full disk the host cannot store its reason either.
-        why += "; its disk may be full: make room"
+        reason_text += "; its disk may be full: make room"
     if status >= 0 and status not in RESTARTED:
-        return Verdict(False, why)
+        return Verdict(False, reason_text)
     recent = [time for time in earlier if now - time < PERIOD]
     if len(recent) >= MAX_RESTARTS:
-        return Verdict(False, f"it has failed {len(recent) + 1} times in {PERIOD:g} s, the last time: {why}")
-    return Verdict(True, why)
+        return Verdict(
+            False, f"it has failed {len(recent) + 1} times in {PERIOD:g} s, the last time: {reason_text}"
+        )
+    return Verdict(True, reason_text)

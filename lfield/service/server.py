@@ -58,7 +58,7 @@ class ServiceServer:
         self.now: Callable[[], float] = clock.monotonic
         self._log = RateLimitedLog(handler.note, self.now)
         self._ungreeted: ConnectionLimiter[Session] = ConnectionLimiter(
-            MAX_HANDSHAKES, rng, lambda one: one.link.is_answered
+            MAX_HANDSHAKES, rng, lambda session: session.link.is_answered
         )
         self._peers: ConnectionLimiter[Session] = ConnectionLimiter(MAX_PEERS, rng)
         self._listeners: list[Listener] = []
@@ -82,7 +82,7 @@ class ServiceServer:
         """Close the links of peers whose keys have expired or were revoked."""
         for session in (*self._peers, *self._ungreeted):
             if session.connected:
-                session.on_reauthorised(self._admission.decide(session.link.who))
+                session.on_reauthorised(self._admission.decide(session.link.identity))
 
     def _on_incoming(self, link: Link) -> Session:
         (session := Session(self, dialled=None)).await_greeting(link)
@@ -93,10 +93,10 @@ class ServiceServer:
 
     # --- reports of sessions --------------------------------------------------------------------------
 
-    def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
+    def new_handshake(self, dialled: str | None, identity: Identity) -> Handshake:
         """See `SessionOwner`."""
         hello = self._admission.sign_hello(self._hello)
-        return Handshake(hello, who, decision=self._admission.decide(who), dialled=dialled)
+        return Handshake(hello, identity, decision=self._admission.decide(identity), dialled=dialled)
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
         """See `SessionOwner`: a service dials with links of observers."""
@@ -112,10 +112,10 @@ class ServiceServer:
         if hello.role != "observer":
             session.close_with_error("this is the port of the service; hosts link at the port of the mission")
             return
-        self._admission.on_handshake(session.link.who, hello)
+        self._admission.on_handshake(session.link.identity, hello)
         if hello.revoked < self._admission.number:
             session.link.send(RevocationUpdate(self._admission.list))
-        pushed = self._peers.admit(session, str(session.link.who))
+        pushed = self._peers.admit(session, str(session.link.identity))
         if pushed is not None:
             pushed.reject(f"over {MAX_PEERS} peers are linked to this service")
 
@@ -140,10 +140,12 @@ class ServiceServer:
                 )
 
     async def _answer(self, link: Link, message: ServiceMessage) -> None:
-        who = link.who
-        person = who.name if who.kind == "person" else ""
+        identity = link.identity
+        person = identity.name if identity.kind == "person" else ""
         try:
-            answer: ServiceMessage | HandshakeRefused = await self._handler.answer(message, str(who), person)
+            answer: ServiceMessage | HandshakeRefused = await self._handler.answer(
+                message, str(identity), person
+            )
         except LfieldError as error:
             answer = HandshakeRefused(truncate(str(error)))
         with suppress(AddressError):

@@ -110,14 +110,14 @@ class Service:
                 await self.on_votes(message.id, message.votes)
                 return ballots.answer(self._activation, self._host, message.id)
             case MissionCommand():
-                who = f"assistant of {operator}" if message.is_assistant else operator
-                self.note(messages.COMMAND.line(action=message.action, operator=who))
+                caller = f"assistant of {operator}" if message.is_assistant else operator
+                self.note(messages.COMMAND.line(action=message.action, operator=caller))
                 # The operator did not know of an end of the host from now on.
                 unsafe = self._runner.record.unsafe
                 async with self._lock:
                     if message.action == "stop":
-                        return await self._stop(message, who, unsafe)
-                    return await self._start(message, who, person)
+                        return await self._stop(message, caller, unsafe)
+                    return await self._start(message, caller, person)
         raise WireError(f"{type(message).__name__} is not a request to a service")
 
     async def status(self) -> ServiceStatus:
@@ -197,9 +197,9 @@ class Service:
             self.note(messages.ACTIVATED.line(bundle=bundle, hosts=hosts))
             await self._end_other_bundle()
             return
-        why = "; ".join(f"{host}: {reason}" for host, reason in found.reasons.items())
-        against = listed([host for host, vote in found.votes.items() if vote == "no"])
-        self.note(messages.ABORTED.line(bundle=bundle, reason=why or f"vote no of {against}"))
+        reasons = "; ".join(f"{host}: {reason}" for host, reason in found.reasons.items())
+        opponents = listed([host for host, vote in found.votes.items() if vote == "no"])
+        self.note(messages.ABORTED.line(bundle=bundle, reason=reasons or f"vote no of {opponents}"))
         await self._release()
 
     async def _end_other_bundle(self) -> None:
@@ -237,8 +237,8 @@ class Service:
             return ""
         if digest and not self._bundles.is_valid(digest):
             return "the bundle is not stored here, or its signature is not valid any more"
-        if why := await self._motion():
-            return why
+        if motion := await self._motion():
+            return motion
         if unfinished := await self._probe.unfinished():
             names = [f"{each.agent} ({each.state})" for each in unfinished[:MAX_UNFINISHED]]
             return f"coordinators have not ended: {listed(names)}; let them end, or 'lfield stop --discard'"
@@ -304,22 +304,22 @@ class Service:
             return
         async with self._lock:
             if self._runner.process == process:
-                why = f"the mission has ended on {host} while this host did not run"
-                await self._runner.stop(why)
-                await self._probe.discard(mission.name, why)
+                reason = f"the mission has ended on {host} while this host did not run"
+                await self._runner.stop(reason)
+                await self._probe.discard(mission.name, reason)
                 self._runner.end_run()
 
     # --- commands -------------------------------------------------------------------------------------
 
     async def _stop(self, command: MissionCommand, operator: str, unsafe: str) -> CommandResult:
         await self._runner.stop(f"stopped by {operator}", unsafe)
-        gone = await self._probe.discard() if command.discards else []
+        discarded = await self._probe.discard() if command.discards else []
         if command.discards:
             self._runner.end_run()
-        if gone:
-            self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
+        if discarded:
+            self.note(messages.DISCARDED.line(agents=listed(discarded), operator=operator))
         checked = "" if self._runner.record.unsafe else unsafe
-        return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED], checked)
+        return CommandResult(self._runner.info, await self._motion(), discarded[:MAX_UNFINISHED], checked)
 
     async def _start(self, command: MissionCommand, operator: str, person: str) -> CommandResult:
         active = self._activation.active

@@ -78,7 +78,7 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     verifier = BundleVerifier(host, credentials.keys, admission, options.files)
     service = Service(host, record, store, runner, probe, verifier, clock)
     transport.log_to(service.note)
-    admission.serve(lambda: runner.is_running, lambda who: {}, service.note)
+    admission.serve(lambda: runner.is_running, lambda identity: {}, service.note)
     server = ServiceServer(host, service, transport, clock, random.Random(secrets.randbits(64)), admission)
     signals = ShutdownSignals(clock)
     install_signal_handlers(signals)

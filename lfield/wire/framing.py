@@ -160,13 +160,13 @@ class FrameDecoder:
         limit = self.limits.get(kind)
         if limit is None or length < 0:
             raise WireError(f"the peer does not speak lfield: a frame of kind {kind} and length {length + 1}")
-        kept = length
+        stored = length
         if length > limit:
             if kind not in self._skippable:
                 raise WireError(f"a frame of kind {kind} has {length} bytes; at most {limit} are allowed")
-            kept = self._skippable[kind]
+            stored = self._skippable[kind]
         self._kind, self._length = kind, length
-        self._body, self._filled, self._missing = bytearray(min(kept, length)), 0, length
+        self._body, self._filled, self._missing = bytearray(min(stored, length)), 0, length
 
     def _collect(self, view: memoryview, position: int) -> int:
         """Copy the needed part of the next bytes into the body; returns the position after the bytes used."""

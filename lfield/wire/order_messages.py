@@ -80,7 +80,7 @@ class Order(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     def epoch_for(self, host: str) -> bytes | None:
         """The number named for a host; None if the order is not for this host."""
-        return next((one.epoch for one in self.hosts if one.host == host), None)
+        return next((target.epoch for target in self.hosts if target.host == host), None)
 
 
 class SignedOrder(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=1):
@@ -222,7 +222,7 @@ def encode_part(part: Order | OrderAnswer) -> bytes:
 def decode_order(data: bytes) -> Order:
     """The order in a `SignedOrder`. Raises WireError, also if the order names a host twice."""
     order = _strict(_orders, data)
-    if len({one.host for one in order.hosts}) < len(order.hosts):
+    if len({target.host for target in order.hosts}) < len(order.hosts):
         raise WireError("an order names a host twice")
     return order
 
@@ -244,13 +244,13 @@ def order_confirmation(id: bytes, epochs: Epochs, devices: Mapping[str, str], tr
     unsafe: dict[str, str] = {}
     trouble = truncate(trouble, MAX_SENTENCE)
     free_bytes = _DEVICE_BYTES - len(_encode(trouble))
-    for name, why in sorted(devices.items(), key=lambda device: not device[1]):
-        why = truncate(why, MAX_SENTENCE)
-        free_bytes -= len(_encode(name)) + (len(_encode(why)) if why else 0)
+    for name, reason in sorted(devices.items(), key=lambda device: not device[1]):
+        reason = truncate(reason, MAX_SENTENCE)
+        free_bytes -= len(_encode(name)) + (len(_encode(reason)) if reason else 0)
         if free_bytes < 0:
             break
-        if why:
-            unsafe[name] = why
+        if reason:
+            unsafe[name] = reason
         else:
             safe.append(name)
     more = len(devices) - len(safe) - len(unsafe)

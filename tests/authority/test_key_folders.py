@@ -55,7 +55,7 @@ def test_keys_are_read_back_and_the_private_key_is_protected(ledger: Ledger) -> 
     finally:
         os.umask(before)
     keys = folders.read_keys(made.folder, "host")
-    assert verify_keys(keys) == made.who
+    assert verify_keys(keys) == made.identity
     assert {path.name: mode(path) for path in made.folder.iterdir()} == {
         "authority.pem": 0o644,
         "host.pem": 0o644,
@@ -146,7 +146,7 @@ def _alpha_keys(ledger: Ledger) -> tuple[Path, Identity]:
         ledger.make("host", "bravo", (), AT, AT + DAY)
         ledger.make("host", "alpha", (), AT, AT + DAY)
         ledger.revoke("host", "bravo", AT)
-    return ledger.folder / "hosts" / "alpha", ledger.rows(AT)[0].who
+    return ledger.folder / "hosts" / "alpha", ledger.rows(AT)[0].identity
 
 
 @pytest.mark.parametrize("holder", ["host", "person"])
@@ -232,7 +232,7 @@ def test_host_name_cannot_refer_to_a_parent_of_the_key_folder(
 
 
 def states(ledger: Ledger, at: float = AT) -> list[tuple[str, str]]:
-    return [(str(row.who), row.state) for row in ledger.rows(at)]
+    return [(str(row.identity), row.state) for row in ledger.rows(at)]
 
 
 def test_authority_is_created_once(ledger: Ledger) -> None:
@@ -279,14 +279,14 @@ def test_existing_keys_are_renewed_not_created_again(ledger: Ledger) -> None:
     with pytest.raises(KeysError, match="'lfield keys renew person anna' makes them last longer"):
         ledger.make("person", "anna", [Right.STOP], AT, AT + DAY)
     new = ledger.renew("person", "anna", AT + 1, AT + 9 * DAY)
-    assert (new.who.may, new.who.valid_until) == ({Right.STOP, Right.OBSERVE}, AT + 9 * DAY)
+    assert (new.identity.may, new.identity.valid_until) == ({Right.STOP, Right.OBSERVE}, AT + 9 * DAY)
     assert folders.read_keys(new.folder, "person").key == before.key
     assert states(ledger) == [("anna", "good"), ("anna", "good")]
     assert states(ledger, AT + 2 * DAY) == [("anna", "ended"), ("anna", "good")]
     other = ledger.renew("person", "anna", AT + 2, AT + 9 * DAY, new_key=True)
     keys = folders.read_keys(other.folder, "person")
     assert keys.key != before.key
-    assert verify_keys(keys) == other.who
+    assert verify_keys(keys) == other.identity
 
 
 def test_keys_are_renewed_without_a_stored_private_key(ledger: Ledger) -> None:
@@ -324,11 +324,11 @@ def test_revocation_covers_all_keys_and_updates_every_folder(ledger: Ledger) -> 
 
 
 def test_one_certificate_is_revoked_by_its_serial_number(ledger: Ledger) -> None:
-    old = ledger.make("host", "alpha", (), AT, AT + DAY).who
-    new = ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY).who
+    old = ledger.make("host", "alpha", (), AT, AT + DAY).identity
+    new = ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY).identity
     assert ledger.revoke_serial(new.serial, AT + 2) == [new]
     assert ledger.rows(AT)[0] == (old, "good")
-    assert ledger.renew("host", "alpha", AT + 3, AT + 9 * DAY).who.serial not in (old.serial, new.serial)
+    assert ledger.renew("host", "alpha", AT + 3, AT + 9 * DAY).identity.serial not in (old.serial, new.serial)
     for serial, words in (
         (new.serial, "is revoked already"),
         ("x", "is not the number"),
@@ -339,7 +339,7 @@ def test_one_certificate_is_revoked_by_its_serial_number(ledger: Ledger) -> None
 
 
 def test_list_numbers_increase_after_restoring_a_backup(ledger: Ledger, tmp_path: Path) -> None:
-    anna, bob = (ledger.make("person", name, (), AT, AT + DAY).who for name in ("anna", "bob"))
+    anna, bob = (ledger.make("person", name, (), AT, AT + DAY).identity for name in ("anna", "bob"))
     copy = shutil.copytree(ledger.folder, tmp_path / "copy")
     ledger.revoke("person", "anna", AT + 2)
     ledger.revoke_serial(bob.serial, AT + 2)
@@ -365,8 +365,8 @@ def test_unknown_certificate_is_revoked_by_its_full_number(ledger: Ledger) -> No
 def test_issued_keys_stay_valid_after_renewing_the_authority(ledger: Ledger) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     ledger.renew_authority(AT + 1, AT + 9999 * DAY)
-    assert verify_keys(folders.read_keys(made.folder, "host")) == made.who
-    assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).who.valid_until == AT + 9000 * DAY
+    assert verify_keys(folders.read_keys(made.folder, "host")) == made.identity
+    assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).identity.valid_until == AT + 9000 * DAY
 
 
 def test_ledger_refuses_changes_after_the_clock_was_set_back(ledger: Ledger) -> None:

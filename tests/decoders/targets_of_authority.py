@@ -276,7 +276,7 @@ def decode_order_datagram(data: bytes) -> None:
     known = CertificateCache(team().authority)
     known.add_der(person.certificate)
     admission = CertificateAdmission(
-        Keys("host", team().authority, b"", b""), host.who, TrustedClock(ManualClock(), NOT_BEFORE)
+        Keys("host", team().authority, b"", b""), host.identity, TrustedClock(ManualClock(), NOT_BEFORE)
     )
 
     def check(checking: PendingCheck) -> None:

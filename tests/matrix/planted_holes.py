@@ -73,14 +73,14 @@ HOLES = (
     Hole(
         "every user at the Unix socket is in the group",
         "net/peer_credentials.py",
-        "{group, *_peer_groups(made)}",
+        "{group, *_peer_groups(unix_socket)}",
         "{_group_id()}",
         "at_the_door",
     ),
     Hole(
         "no user at the Unix socket is in the group",
         "net/peer_credentials.py",
-        "{group, *_peer_groups(made)}",
+        "{group, *_peer_groups(unix_socket)}",
         "{group}",
         "at_the_door",
     ),
@@ -94,8 +94,8 @@ HOLES = (
     Hole(
         "the user at the Unix socket is not determined",
         "net/stream_link.py",
-        "self.who = identity_of_listener(made) if self._calls else identity_of_caller(made)",
-        "self.who = identity_of_listener(made)",
+        "self.identity = identity_of_listener(sock) if self._calls else identity_of_caller(sock)",
+        "self.identity = identity_of_listener(sock)",
         "at_the_door",
     ),
     Hole(
@@ -151,14 +151,14 @@ HOLES = (
     Hole(
         "a peer that claims to be a host is accepted as one",
         "net/handshake.py",
-        "if who.name != hello.host:",
+        "if identity.name != hello.host:",
         "if False:",
         "over_the_network",
     ),
     Hole(
         "peers are not verified again",
         "net/link_manager.py",
-        "session.on_reauthorised(self._admission.decide(session.link.who, linked=session in links))",
+        "session.on_reauthorised(self._admission.decide(identity, linked=session in links))",
         "pass",
         "on_a_link",
     ),

@@ -94,7 +94,7 @@ class Caller:
         link._on_link = lambda _: self.recorder
         link.connection_made(self.wire)
         if family == socket.AF_UNIX:
-            link.who = Identity("local", name, frozenset({Right.OBSERVE, Right.STOP}))
+            link.identity = Identity("local", name, frozenset({Right.OBSERVE, Right.STOP}))
 
     def say(self, data: bytes) -> None:
         assert self.wire.reads, "the link reads although it waits"

@@ -55,14 +55,14 @@ class Ends:
 def test_both_ends_know_the_authenticated_peer():
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO))
     assert (ends.near.proven, ends.far.proven) == (True, True)
-    assert (str(ends.near.who), str(ends.far.who)) == ("host bravo", "host alpha")
-    assert ends.far.who.authority == TEAM.authority.fingerprint
+    assert (str(ends.near.identity), str(ends.far.identity)) == ("host bravo", "host alpha")
+    assert ends.far.identity.authority == TEAM.authority.fingerprint
     assert ends.errors == {}
 
 
 def test_a_person_is_authenticated_with_rights():
     ends = Ends(TlsIdentity(TEAM.person("anna", Right.OBSERVE, Right.STOP)), TlsIdentity(BRAVO))
-    assert (ends.far.who.kind, ends.far.who.name, sorted(ends.far.who.may)) == (
+    assert (ends.far.identity.kind, ends.far.identity.name, sorted(ends.far.identity.may)) == (
         "person",
         "anna",
         ["observe", "stop"],
@@ -97,8 +97,8 @@ def test_two_messages_may_arrive_together():
 def test_the_channel_reports_the_validity_and_does_not_judge_it():
     late = TEAM.host("late", begin=1577836800.0, end=1577923200.0)
     ends = Ends(TlsIdentity(late), TlsIdentity(TEAM.host("early", begin=3e9)))
-    assert str(ends.far.who) == "host late"
-    assert (ends.far.who.valid_until, ends.near.who.valid_from) == (1577923200.0, 3e9)
+    assert str(ends.far.identity) == "host late"
+    assert (ends.far.identity.valid_until, ends.near.identity.valid_from) == (1577923200.0, 3e9)
 
 
 ITSELF = made("alpha", [uri_of("host", "alpha")])
@@ -116,7 +116,7 @@ def test_the_listening_end_refuses_foreign_certificates(keys):
     assert isinstance(ends.errors[ends.far], HandshakeError)
     assert "peer certificate rejected" in str(ends.errors[ends.far])
     assert not ends.far.proven
-    assert ends.far.who == ANONYMOUS
+    assert ends.far.identity == ANONYMOUS
     assert "peer rejected the certificate of this host" in str(ends.errors[ends.near])
 
 
@@ -130,7 +130,7 @@ def test_the_dialling_end_refuses_a_host_of_another_authority():
 
 def test_a_certificate_without_one_valid_name_authenticates_no_peer():
     for uris in ([], [uri_of("host", "a"), uri_of("host", "b")], ["lfield://host/", "https://host/alpha"]):
-        assert Ends(TlsIdentity(TEAM.unusual(*uris)), TlsIdentity(BRAVO)).far.who == ANONYMOUS
+        assert Ends(TlsIdentity(TEAM.unusual(*uris)), TlsIdentity(BRAVO)).far.identity == ANONYMOUS
 
 
 class Dials:
@@ -158,7 +158,7 @@ def test_the_next_link_resumes_the_session_with_the_first_certificates():
     for _ in range(3):
         ends, size = dials.again()
         assert (ends.near.is_resumed, ends.far.is_resumed) == (True, True)
-        assert (str(ends.near.who), str(ends.far.who)) == ("host bravo", "host alpha")
+        assert (str(ends.near.identity), str(ends.far.identity)) == ("host bravo", "host alpha")
         assert size < 0.4 * whole
     assert len(dials.known) == 8
     assert len(set(dials.known)) == 2
@@ -241,7 +241,7 @@ def test_any_bytes_of_an_unknown_peer_give_an_error_and_no_data(pieces, greets):
         for piece in (first, *pieces):
             assert list(channel.receive(piece)) == []
     assert not channel.proven
-    assert channel.who == ANONYMOUS
+    assert channel.identity == ANONYMOUS
 
 
 #: The dialling end sends this record for old middleboxes; it has no meaning.
@@ -291,7 +291,7 @@ def test_a_person_certificate_is_refused_for_a_host():
 
 
 def test_a_host_checks_its_own_certificate():
-    assert TlsIdentity(ALPHA).own_identity() == Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO)).far.who
+    assert TlsIdentity(ALPHA).own_identity() == Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO)).far.identity
     for keys in (TEAM.person("anna", *ALL_RIGHTS), replace(ALPHA, authority=OTHER.authority.certificate)):
         with pytest.raises(KeysError, match="keys rejected for a host"):
             TlsIdentity(keys).own_identity()

@@ -76,7 +76,7 @@ def test_later_links_resume_the_tls_session_even_after_an_abort(tls):
         link.send(Ping(1))
         far.link.send(Ping(2))
         tls.until(lambda near=near, far=far: bool(near.messages and far.messages))
-        assert str(far.link.who) == str(link.who) == "host alpha"
+        assert str(far.link.identity) == str(link.identity) == "host alpha"
         found += [end._channel.is_resumed for end in (link, far.link)]
         link.abort()
         tls.until(lambda near=near, far=far: bool(near.ends and far.ends))
@@ -172,8 +172,8 @@ def test_a_command_trusts_the_hosts_of_its_own_user_root_and_group(user, groups)
 def test_the_kernel_identifies_both_ends_of_a_unix_socket(unix):
     pair = Pair(unix)
     for link in (pair.link, pair.far.link):
-        assert (link.who.kind, link.who.may) == ("local", ALL_RIGHTS)
-        assert link.who.name == pwd.getpwuid(os.geteuid()).pw_name
+        assert (link.identity.kind, link.identity.may) == ("local", ALL_RIGHTS)
+        assert link.identity.name == pwd.getpwuid(os.geteuid()).pw_name
 
 
 # TLS only
@@ -181,10 +181,10 @@ def test_the_kernel_identifies_both_ends_of_a_unix_socket(unix):
 
 def test_the_dialling_end_knows_its_peer_after_connect(tls):
     pair = Pair(tls)
-    assert str(pair.link.who) == "host alpha"
+    assert str(pair.link.identity) == "host alpha"
     pair.link.send(Ping(1))
     tls.until(lambda: pair.far.messages)
-    assert str(pair.far.link.who) == "host alpha"
+    assert str(pair.far.link.identity) == "host alpha"
 
 
 class Counted:

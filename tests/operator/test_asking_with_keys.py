@@ -49,12 +49,12 @@ class Alpha:
 
     def _heard(self, link, message):
         if link not in self._greetings:
-            greeting = self._greetings[link] = Handshake(self.hello, link.who)
+            greeting = self._greetings[link] = Handshake(self.hello, link.identity)
             link.send(greeting.first_message())
             link.accept_role(greeting.receive(message).role)
             return
         self._greetings[link].admit(message)
-        self.heard.append((str(link.who), message))
+        self.heard.append((str(link.identity), message))
         if not isinstance(message, RevocationUpdate):
             link.send(SNAPSHOT if isinstance(message, Subscribe) else EmergencyStopResult({}))
 

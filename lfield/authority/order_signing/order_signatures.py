@@ -45,7 +45,7 @@ class VerifiedCertificate(NamedTuple):
     """A certificate that the CA has signed: DER, and its identity."""
 
     certificate: bytes
-    who: Identity
+    identity: Identity
 
 
 class CertificateCache:
@@ -67,8 +67,8 @@ class CertificateCache:
 
     def of_host(self, name: str) -> VerifiedCertificate | None:
         """The most recently used certificate of a host."""
-        found = (known for known in reversed(self._known.values()) if known.who.kind == "host")
-        return next((known for known in found if known.who.name == name), None)
+        found = (known for known in reversed(self._known.values()) if known.identity.kind == "host")
+        return next((known for known in found if known.identity.name == name), None)
 
     def add(self, known: VerifiedCertificate) -> None:
         """Add a certificate that `verify_certificate` has verified."""
@@ -77,22 +77,22 @@ class CertificateCache:
         if len(self._known) > MAX_CERTIFICATES:
             self._known.popitem(last=False)
 
-    def on_tls_verified(self, certificate: bytes, who: Identity) -> None:
+    def on_tls_verified(self, certificate: bytes, identity: Identity) -> None:
         """Add a certificate that TLS has verified."""
-        self.add(VerifiedCertificate(certificate, who))
+        self.add(VerifiedCertificate(certificate, identity))
 
     def add_der(self, certificate: bytes) -> Identity:
         """Verify a stored certificate in DER, and add it. Raises KeysError."""
         known = self._known.get(digest_of(certificate)) or verify_certificate(certificate, self.authority)
         self.add(known)
-        return known.who
+        return known.identity
 
 
 class OrderSigner:
     """Signs with the keys of one holder. Raises KeysError for keys that cannot be used."""
 
     def __init__(self, keys: Keys) -> None:
-        self.who = verify_keys(keys)
+        self.identity = verify_keys(keys)
         self.certificate = der_of(keys.certificate)
         self.digest = digest_of(self.certificate)
         self._sign: Callable[[bytes], bytes] = private_in(keys.key).sign
@@ -151,4 +151,4 @@ def _presented(signed: SignedOrder | SignedAnswer, authority: bytes) -> Verified
 
 def _require_signature(known: VerifiedCertificate, signature: bytes, text: bytes) -> None:
     if not is_signed_by(certificate_in_der(known.certificate), signature, text):
-        raise SignatureError(f"its content differs from that signed by {known.who}")
+        raise SignatureError(f"its content differs from that signed by {known.identity}")

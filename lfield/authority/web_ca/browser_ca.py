@@ -48,10 +48,10 @@ class BrowserCa(CertificateSigner[ec.EllipticCurvePrivateKey]):
             )
         key = ec.generate_private_key(ec.SECP256R1())
         subject, usages = f"page {names[0]}", [ExtendedKeyUsageOID.SERVER_AUTH]
-        made = self._signed(
+        certificate = self._signed(
             subject, key.public_key(), at, ends, usages, [_general_name(name) for name in names]
         )
-        return IssuedCertificate(made, private_pem(key))
+        return IssuedCertificate(certificate, private_pem(key))
 
 
 _PUBLIC = (
@@ -70,7 +70,7 @@ def new_browser_ca(at: float, ends: float) -> BrowserCa:
     )
     allowed: list[x509.GeneralName] = [x509.IPAddress(network) for network in NETWORKS]
     allowed += [x509.DNSName(ending) for ending in ENDINGS]
-    made = (
+    certificate = (
         certificate_builder(name, name, public, at, ends)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(usage(signs_certificates=True), critical=True)
@@ -78,7 +78,7 @@ def new_browser_ca(at: float, ends: float) -> BrowserCa:
         .add_extension(x509.NameConstraints(allowed, None), critical=True)
         .sign(key, SHA256())
     )
-    return BrowserCa(made, key)
+    return BrowserCa(certificate, key)
 
 
 def read_browser_ca(certificate: bytes, key: bytes) -> BrowserCa:

@@ -35,9 +35,9 @@ _MAX_LENGTH = 253
 
 def address_in(text: str) -> Address | None:
     """The address in a text; None for a name. IPv6 may be in brackets."""
-    bare = text[1:-1] if text.startswith("[") and text.endswith("]") else text
+    number = text[1:-1] if text.startswith("[") and text.endswith("]") else text
     try:
-        return ip_address(bare)
+        return ip_address(number)
     except ValueError:
         return None
 

@@ -49,6 +49,6 @@ def run(args: argparse.Namespace) -> int:
     digest = bundle.contents(data).digest
     signature = sign_bundle(digest, keys, time.time())
     write_bytes(args.file, bundle.with_signature(data, signature))
-    identity = verify_bundle(digest, signature, keys.authority).who
+    identity = verify_bundle(digest, signature, keys.authority).identity
     print(f"{args.file}: bundle {short_digest(digest)}, signed by {identity}", file=sys.stderr)
     return 0

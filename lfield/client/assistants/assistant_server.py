@@ -149,12 +149,12 @@ class AssistantServer:
 
     async def _logged_result(self, caller: str, params: CallToolRequestParams) -> CallToolResult:
         arguments = params.arguments or {}
-        shown = truncate(json.dumps(arguments, separators=(",", ":")), MAX_LABEL)
+        arguments_text = truncate(json.dumps(arguments, separators=(",", ":")), MAX_LABEL)
         name = truncate(params.name, MAX_LABEL)
         outcome, is_error = "cancelled", True
         try:
             # A call that cannot be logged is not executed.
-            self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=shown))
+            self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=arguments_text))
             text = as_json(await self._result(params.name, arguments))
             outcome, is_error = "answered", False
         except Exception as error:
@@ -167,7 +167,7 @@ class AssistantServer:
 
     async def _result(self, name: str, arguments: Mapping[str, Any]) -> object:
         tool = find_tool(name)
-        given = tool.parse(arguments)
+        call_arguments = tool.parse(arguments)
         where = self._selection
         async with connect(
             where.mission,
@@ -177,7 +177,7 @@ class AssistantServer:
             keys=where.keys,
             is_assistant=True,
         ) as team:
-            return await tool.run(team, given)
+            return await tool.run(team, call_arguments)
 
 
 def _error_data(error: Exception) -> Mapping[str, object]:

@@ -99,29 +99,33 @@ async def _status(team: ConnectedTeam, _: ToolArguments) -> object:
     return await team.status()
 
 
-async def _query(team: ConnectedTeam, given: QueryArguments) -> object:
-    return await team.query(given.query, at=given.at, size=given.size)
+async def _query(team: ConnectedTeam, arguments: QueryArguments) -> object:
+    return await team.query(arguments.query, at=arguments.at, size=arguments.size)
 
 
-async def _explain(team: ConnectedTeam, given: ExplainArguments) -> object:
-    return await team.explain(given.query)
+async def _explain(team: ConnectedTeam, arguments: ExplainArguments) -> object:
+    return await team.explain(arguments.query)
 
 
-async def _events(team: ConnectedTeam, given: EventArguments) -> object:
-    newest, count = deque[Mapping[str, object]](maxlen=given.most), 0
-    async for event in team.events(since=given.since, kinds=given.kinds, hosts=given.hosts, follow=False):
+async def _events(team: ConnectedTeam, arguments: EventArguments) -> object:
+    newest, count = deque[Mapping[str, object]](maxlen=arguments.most), 0
+    async for event in team.events(
+        since=arguments.since, kinds=arguments.kinds, hosts=arguments.hosts, follow=False
+    ):
         newest.append(event)
         count += 1
     return {"events": list(newest), "left_off": count - len(newest)}
 
 
-async def _start(team: ConnectedTeam, given: StartArguments) -> object:
-    return await team.start(without=given.without)
+async def _start(team: ConnectedTeam, arguments: StartArguments) -> object:
+    return await team.start(without=arguments.without)
 
 
-async def _call(team: ConnectedTeam, given: CallArguments) -> object:
-    found = await team.call(given.agent, given.portal, *given.arguments, timeout=given.timeout)
-    return {"value": found}
+async def _call(team: ConnectedTeam, arguments: CallArguments) -> object:
+    value = await team.call(
+        arguments.agent, arguments.portal, *arguments.arguments, timeout=arguments.timeout
+    )
+    return {"value": value}
 
 
 TOOLS: Mapping[str, AssistantTool] = {

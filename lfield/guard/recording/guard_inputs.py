@@ -159,9 +159,9 @@ def input_of(message: GuardMessage) -> GuardInput | None:
     return None
 
 
-def apply_input(core: GuardCore, given: GuardInput) -> list[Effect]:
+def apply_input(core: GuardCore, event: GuardInput) -> list[Effect]:
     """Passes an input to the core; returns its decisions."""
-    match given:
+    match event:
         case HostBeat(sent):
             return core.on_beat(sent)
         case TimerExpired():

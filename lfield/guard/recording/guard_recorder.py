@@ -129,17 +129,17 @@ class GuardRecorder:
         early, self._early = self._early or [], None
         self._ring.start_file(b"".join([framed(start), *early]))
 
-    def on_input(self, now: float, given: GuardInput, effects: Sequence[Effect]) -> None:
+    def on_input(self, now: float, event: GuardInput, effects: Sequence[Effect]) -> None:
         """An input and the decisions of the core."""
-        if not effects and isinstance(given, HostBeat | TimerExpired) and self._pulses.add(now, given):
+        if not effects and isinstance(event, HostBeat | TimerExpired) and self._pulses.add(now, event):
             if self._pulses.is_full:
                 self._flush_pulses()
             return
-        self._append_input(InputRecord(now, given, decisions_of(effects)))
+        self._append_input(InputRecord(now, event, decisions_of(effects)))
 
-    def on_call_start(self, now: float, given: CallStarting, refusal: str) -> None:
+    def on_call_start(self, now: float, event: CallStarting, refusal: str) -> None:
         """The driver starts a call, unless there is a `refusal`."""
-        self._append_input(InputRecord(now, given, msgspec.Raw(msgspec.msgpack.encode(refusal))))
+        self._append_input(InputRecord(now, event, msgspec.Raw(msgspec.msgpack.encode(refusal))))
 
     def _append_input(self, record: InputRecord) -> None:
         self._flush_pulses()

@@ -219,5 +219,5 @@ def changed_values(
     return {at: value for at, value in values.items() if not _is_same(before.get(at, ...), value)}
 
 
-def _is_same(one: object, other: object) -> bool:
-    return type(one) is type(other) and (one == other or (one != one and other != other))
+def _is_same(value: object, other: object) -> bool:
+    return type(value) is type(other) and (value == other or (value != value and other != other))

@@ -97,27 +97,27 @@ class _Replayer:
         """Passes all inputs of a segment to the core."""
         for record in segment.records:
             if isinstance(record, Pulses):
-                for time, given in pulses_in(record):
-                    self._replay_input(time, given, _NOTHING)
+                for time, event in pulses_in(record):
+                    self._replay_input(time, event, _NOTHING)
             elif isinstance(record, InputRecord):
                 self._replay_input(record.time, record.given, bytes(record.decisions))
 
-    def _replay_input(self, time: float, given: GuardInput | CallStarting, recorded: bytes) -> None:
+    def _replay_input(self, time: float, event: GuardInput | CallStarting, recorded: bytes) -> None:
         self._clock.set(time)
         try:
-            replayed = self._decisions(given)
+            replayed = self._decisions(event)
         except Exception as error:  # of an input that the core does not accept, in a damaged recording
             replayed = msgspec.msgpack.encode(f"failure of the core: {type(error).__name__}: {error}")
         if recorded == replayed or self._result.first is not None:
             self._result.compare(recorded, replayed)
         else:
-            texts = str(given), decision_text(recorded), decision_text(replayed)
+            texts = str(event), decision_text(recorded), decision_text(replayed)
             self._result.compare(recorded, replayed, self._difference(time, *texts))
 
-    def _decisions(self, given: GuardInput | CallStarting) -> bytes:
-        if isinstance(given, CallStarting):
-            return self._start_call(given)
-        effects = apply_input(self._core, given)
+    def _decisions(self, event: GuardInput | CallStarting) -> bytes:
+        if isinstance(event, CallStarting):
+            return self._start_call(event)
+        effects = apply_input(self._core, event)
         for effect in effects:
             if isinstance(effect, Execute):
                 self._unstarted[effect.call.token] = effect.call
@@ -125,8 +125,8 @@ class _Replayer:
                 self._unstarted.pop(effect.token, None)
         return bytes(decisions_of(effects))
 
-    def _start_call(self, given: CallStarting) -> bytes:
-        call = self._unstarted.pop(given.token, None)
+    def _start_call(self, event: CallStarting) -> bytes:
+        call = self._unstarted.pop(event.token, None)
         if call is None:
             return msgspec.msgpack.encode("no call of this token was accepted")
         return msgspec.msgpack.encode(self._core.mark_started(call))
@@ -137,6 +137,6 @@ class _Replayer:
         texts = f"the state at the start of {path.name}", str(start.state), str(self._core.state)
         self._result.compare(recorded, replayed, self._difference(start.monotonic, *texts))
 
-    def _difference(self, time: float, given: str, recorded: str, replayed: str) -> GuardDifference:
+    def _difference(self, time: float, event: str, recorded: str, replayed: str) -> GuardDifference:
         wall_time = self._start.wall_time + time - self._start.monotonic
-        return GuardDifference(self._path, time, wall_time, given, recorded, replayed)
+        return GuardDifference(self._path, time, wall_time, event, recorded, replayed)

@@ -35,15 +35,15 @@ class PulseCollector:
         """Whether there are MOST_PULSES."""
         return len(self._steps) >= 2 * MOST_PULSES
 
-    def add(self, time: float, given: HostBeat | TimerExpired) -> bool:
+    def add(self, time: float, event: HostBeat | TimerExpired) -> bool:
         """Adds a pulse; returns whether it could be encoded exactly."""
         now = _exact(time)
         last = self._last if self._steps else now
         if now is None or last is None or not 0 <= now - last < _LONGEST:
             return False
         delay: int | None = TIMER
-        if isinstance(given, HostBeat):
-            sent = _exact(given.sent)
+        if isinstance(event, HostBeat):
+            sent = _exact(event.sent)
             delay = None if sent is None or not 0 <= now - sent < _LONGEST else now - sent
         if delay is None:
             return False

@@ -30,10 +30,10 @@ class RecordedCore:
         if recorder is not None:
             recorder.start(core.state, ())
 
-    def handle(self, given: GuardInput) -> list[Effect]:
+    def handle(self, event: GuardInput) -> list[Effect]:
         """The effects of an input."""
         now = self._clock.latch()
-        effects = apply_input(self._core, given)
+        effects = apply_input(self._core, event)
         if self._recorder is None:
             return effects
         for effect in effects:
@@ -41,7 +41,7 @@ class RecordedCore:
                 self._unstarted[effect.call.token] = effect.call
             elif isinstance(effect, Interrupt):
                 self._unstarted.pop(effect.token, None)
-        self._recorder.on_input(now, given, effects)
+        self._recorder.on_input(now, event, effects)
         self._start_segment_if_full()
         return effects
 

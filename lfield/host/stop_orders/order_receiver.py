@@ -113,7 +113,7 @@ class OrderReceiver:
     ) -> None:
         self._ports = ports
         self._signer, self._certificates, self._admission = signer, certificates, admission
-        self._epochs, self._now, self._name = epochs, now, signer.who.name
+        self._epochs, self._now, self._name = epochs, now, signer.identity.name
         self._limits = DatagramLimits()
         #: The verified datagrams, by their digest.
         self._verified: OrderedDict[bytes, VerifiedCertificate] = OrderedDict()
@@ -208,7 +208,7 @@ class OrderReceiver:
         """The signature is valid: authorise its signer now, also for a repeated datagram."""
         signed, order, origin = checking.signed, checking.order, checking.origin
         message = _link_message(order, order.epoch_for(self._name) or wire.UNKNOWN_EPOCH)
-        operator = known.who
+        operator = known.identity
         verified = self._orders.get(order.id) or _VerifiedOrder()
         remember_newest(self._orders, order.id, verified, MAX_ORDERS)
         before, now = verified.askers.get(origin), self._now()

@@ -65,7 +65,9 @@ class SubscriptionServer:
     def subscribe(self, message: Subscribe, link: Link) -> None:
         """Start or replace a subscription."""
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS and link not in self._subscriptions:
-            evicted = subscription_to_evict([str(each.who) for each in self._subscriptions], str(link.who))
+            evicted = subscription_to_evict(
+                [str(each.identity) for each in self._subscriptions], str(link.identity)
+            )
             if evicted is None:
                 self._end(link, f"{MAX_SUBSCRIPTIONS} others watch {self._core.name} already")
                 return

@@ -27,14 +27,14 @@ _LEVEL, _SMALL, _LARGE = 6, 4, 8
 def encode_delta(new: Buffer, old: Buffer) -> bytes:
     """The delta from which `expand_delta` restores `new`, given the same `old`."""
     whole, base = memoryview(new), memoryview(old)
-    found: list[bytes] = []
+    chunks: list[bytes] = []
     for start in range(0, len(whole), CHUNK):
         dictionary = _dictionary(base, start)
         window = min(_MAX_WINDOW, max(_MIN_WINDOW, (2 * len(dictionary)).bit_length()))
         memory = _SMALL if window < _MAX_WINDOW else _LARGE
         coder = zlib.compressobj(_LEVEL, zlib.DEFLATED, -window, memory, zlib.Z_DEFAULT_STRATEGY, dictionary)
-        found += coder.compress(whole[start : start + CHUNK]), coder.flush()
-    return b"".join(found)
+        chunks += coder.compress(whole[start : start + CHUNK]), coder.flush()
+    return b"".join(chunks)
 
 
 def expand_delta(delta: Buffer, old: Buffer, size: int) -> bytes:
@@ -43,22 +43,22 @@ def expand_delta(delta: Buffer, old: Buffer, size: int) -> bytes:
     Expands at most CHUNK bytes more than it returns, also for a malicious delta. Raises WireError if the
     delta is malformed or has fewer bytes.
     """
-    base, found, length = memoryview(old), list[bytes](), 0
-    rest: Buffer = delta
+    base, chunks, length = memoryview(old), list[bytes](), 0
+    remaining: Buffer = delta
     while length < size:
         coder = zlib.decompressobj(-_MAX_WINDOW, _dictionary(base, length))
         try:
-            chunk = coder.decompress(rest, CHUNK)
+            chunk = coder.decompress(remaining, CHUNK)
             # The end of a full chunk may not have been read yet.
             excess = b"" if coder.eof else coder.decompress(coder.unconsumed_tail, 1)
         except zlib.error as error:
             raise WireError(f"a delta is malformed: {error}") from None
         if not chunk or excess or not coder.eof:
             raise WireError("a delta is cut, or one of its chunks is too long")
-        found.append(chunk)
+        chunks.append(chunk)
         length += len(chunk)
-        rest = coder.unused_data
-    return b"".join(found)[:size]
+        remaining = coder.unused_data
+    return b"".join(chunks)[:size]
 
 
 def _dictionary(old: memoryview, start: int) -> memoryview:

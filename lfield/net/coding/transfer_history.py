@@ -62,7 +62,7 @@ class TransferHistory:
 
     def __init__(self) -> None:
         #: The payload, whether this end sent it, and its number; the least recently used one first.
-        self._kept: dict[str, tuple[Buffer, bool, int]] = {}
+        self._transfers: dict[str, tuple[Buffer, bool, int]] = {}
         self._size = self._count = 0
 
     def encode(self, agent: str, whole: bytes, *, is_fast: bool) -> bytes:
@@ -71,11 +71,11 @@ class TransferHistory:
 
         `is_fast`: whether the network takes less time for the bytes than the processor for the delta.
         """
-        kept, payload = self._kept.get(agent), memoryview(whole)[HEADER_SIZE:]
+        previous, payload = self._transfers.get(agent), memoryview(whole)[HEADER_SIZE:]
         is_kept = self.keep(agent, payload, is_sent=True)
-        if kept is None or is_fast or not is_kept:
+        if previous is None or is_fast or not is_kept:
             return whole
-        reference = kept[0]
+        reference = previous[0]
         name, delta = agent.encode(), encode_delta(payload, reference)
         if len(delta) >= len(payload):
             return whole
@@ -88,13 +88,16 @@ class TransferHistory:
         `payload` must not change.
         """
         self._count += 1
-        if (before := self._kept.pop(agent, None)) is not None:
+        if (before := self._transfers.pop(agent, None)) is not None:
             self._size -= len(before[0])
-        while self._kept and self._kept[oldest := next(iter(self._kept))][2] < self._count - FORGET_AFTER:
-            self._size -= len(self._kept.pop(oldest)[0])
+        while (
+            self._transfers
+            and self._transfers[oldest := next(iter(self._transfers))][2] < self._count - FORGET_AFTER
+        ):
+            self._size -= len(self._transfers.pop(oldest)[0])
         if self._size + len(payload) > MAX_KEPT:
             return False
-        self._kept[agent] = payload, is_sent, self._count
+        self._transfers[agent] = payload, is_sent, self._count
         self._size += len(payload)
         return True
 
@@ -108,15 +111,15 @@ class TransferHistory:
             agent = bytes(payload[_START.size : end]).decode()
         except UnicodeDecodeError as error:
             raise WireError(f"a delta names no agent: {error}") from None
-        kept = self._kept.get(agent)
-        if kept is None or _digest(kept[0]) != digest:
+        previous = self._transfers.get(agent)
+        if previous is None or _digest(previous[0]) != digest:
             return MissingReference(agent)
-        return Delta(agent, size, kept[0], payload[end:])
+        return Delta(agent, size, previous[0], payload[end:])
 
     def whole(self, agent: str) -> Buffer | None:
         """The last transfer of a coordinator if this end sent it."""
-        kept = self._kept.get(agent)
-        return kept[0] if kept is not None and kept[1] else None
+        transfer = self._transfers.get(agent)
+        return transfer[0] if transfer is not None and transfer[1] else None
 
 
 def _digest(payload: Buffer) -> bytes:

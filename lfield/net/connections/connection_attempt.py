@@ -62,23 +62,23 @@ class ConnectionAttempt:
         try:
             await lookups.settle()
             while True:
-                made, at = await self._connected(lookups)
+                connection, endpoint = await self._connected(lookups)
                 on_connected()
                 self._remaining = [
-                    other for other in self._remaining if other != at and other not in self._failures
+                    other for other in self._remaining if other != endpoint and other not in self._failures
                 ]
                 is_last = not (self._remaining or lookups.pending)
                 # At the last address, the handshake of the handler reports another host.
-                self.link = await self._new_link(made, "" if is_last else self._host)
+                self.link = await self._new_link(connection, "" if is_last else self._host)
                 try:
                     async with asyncio.timeout(None if is_last else HANDSHAKE_TIMEOUT):
                         await self.link.ready()
                 except (TimeoutError, LfieldError) as error:
-                    self._fail(at, error)
+                    self._fail(endpoint, error)
                     if is_last:
                         raise
                     continue
-                self._unanswered -= {at}
+                self._unanswered -= {endpoint}
                 self._unanswered |= self._failures.keys()
                 return self.link
         finally:
@@ -90,9 +90,9 @@ class ConnectionAttempt:
         The race starts again when a look-up has a result, so that a slow name server delays no address.
         """
         while True:
-            found = [at for at in lookups.found if at not in self._failures]
+            candidates = [endpoint for endpoint in lookups.found if endpoint not in self._failures]
             self._count = len(lookups.found)
-            self._remaining = sorted(found, key=lambda at: at in self._unanswered)
+            self._remaining = sorted(candidates, key=lambda endpoint: endpoint in self._unanswered)
             race = asyncio.ensure_future(
                 first_connected(self._remaining, self._failures, retry_pause=self._retry_pause)
             )
@@ -106,15 +106,15 @@ class ConnectionAttempt:
                 race.cancel()
             await asyncio.gather(race, return_exceptions=True)
 
-    async def _new_link(self, made: socket.socket, host: str) -> StreamLink:
+    async def _new_link(self, connection: socket.socket, host: str) -> StreamLink:
         """The link of a connection; only `host` may answer, if it is given."""
 
         def link() -> StreamLink:
-            new = self._make_link()
-            new.require_host(host)
-            return new
+            new_link = self._make_link()
+            new_link.require_host(host)
+            return new_link
 
-        return (await asyncio.get_running_loop().create_connection(link, sock=made))[1]
+        return (await asyncio.get_running_loop().create_connection(link, sock=connection))[1]
 
     @property
     def is_mixed(self) -> bool:
@@ -123,19 +123,22 @@ class ConnectionAttempt:
         """
         return not all(isinstance(error, ConnectionRefusedError) for error in self._failures.values())
 
-    def failure_text(self, why: str) -> str:
+    def failure_text(self, reason: str) -> str:
         """The reason of the failure, with each address that a name resolved to."""
         self._unanswered |= self._failures.keys()
         if self._is_number or not self._count:
-            return why
+            return reason
         parts = [
-            f"{socket_address(at.address)}: {_error_text(error)}" for at, error in self._failures.items()
+            f"{socket_address(endpoint.address)}: {_error_text(error)}"
+            for endpoint, error in self._failures.items()
         ]
-        rest = [at for at in self._remaining if at not in self._failures]
-        return "; ".join([*parts, *(f"{socket_address(at.address)}: {why}" for at in rest)])
+        remaining = [endpoint for endpoint in self._remaining if endpoint not in self._failures]
+        return "; ".join(
+            [*parts, *(f"{socket_address(endpoint.address)}: {reason}" for endpoint in remaining)]
+        )
 
-    def _fail(self, at: ResolvedAddress, error: Exception) -> None:
-        self._failures[at] = error
+    def _fail(self, endpoint: ResolvedAddress, error: Exception) -> None:
+        self._failures[endpoint] = error
         if self.link is not None:
             self.link.abort()
             self.link = None

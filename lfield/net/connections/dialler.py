@@ -78,13 +78,13 @@ class Dialler:
         wait, now = FIRST_RETRY, self._clock.monotonic
         while self._owner.needs_link(self._host):
             start = now()
-            there = self._owner.link_of(self._host)
-            if there is not None and not there.is_suspected:
-                await there.suspected.wait()
+            established = self._owner.link_of(self._host)
+            if established is not None and not established.is_suspected:
+                await established.suspected.wait()
                 wait = FIRST_RETRY
                 self._reset_reports()
-            elif barred := self._owner.ban_remaining(self._host):
-                await asyncio.sleep(barred)
+            elif ban_seconds := self._owner.ban_remaining(self._host):
+                await asyncio.sleep(ban_seconds)
                 continue
             else:
                 session = self.session = Session(self._owner, dialled=self._host)
@@ -102,8 +102,8 @@ class Dialler:
         """Dial, and wait for the end of the link. Returns the reason why the link ended, or was not made."""
         try:
             link = await self._transport.connect(self._address, session, self._host)
-            there = self._owner.link_of(self._host)
-            if there not in (None, session) and not there.is_suspected:
+            established = self._owner.link_of(self._host)
+            if established not in (None, session) and not established.is_suspected:
                 # The host has dialled in the meantime, or the silent link has recovered.
                 link.close()
             else:

@@ -47,9 +47,9 @@ class SocketListener:
 class PortListener:
     """Listens at every address of a host that belongs to this computer.
 
-    `serve` creates a server for a bound socket, `note` writes a log line, and `why` explains an error to the
-    user. When a name resolves to other addresses, the sockets follow. A failed attempt is repeated, and so is
-    an address, one of several, that this computer does not have yet.
+    `serve` creates a server for a bound socket, `note` writes a log line, and `describe_error` explains an
+    error to the user. When a name resolves to other addresses, the sockets follow. A failed attempt is
+    repeated, and so is an address, one of several, that this computer does not have yet.
     """
 
     def __init__(
@@ -57,11 +57,11 @@ class PortListener:
         address: str,
         serve: Callable[[socket.socket], Awaitable[SocketServer]],
         note: Callable[[LogLine], None],
-        why: Callable[[OSError | UnicodeError], str] = describe,
+        describe_error: Callable[[OSError | UnicodeError], str] = describe,
     ) -> None:
-        self._requested, self._serve, self._note, self._why = address, serve, note, why
-        self._each = split_addresses(address)
-        hosts = [split_address(each)[0] for each in self._each]
+        self._requested, self._serve, self._note, self._describe_error = address, serve, note, describe_error
+        self._parts = split_addresses(address)
+        hosts = [split_address(part)[0] for part in self._parts]
         #: The requested names, for the log.
         self._host = ",".join(hosts)
         self._is_lasting = all(map(is_lasting, hosts))
@@ -75,12 +75,12 @@ class PortListener:
 
     async def open(self) -> None:
         """Listen, and follow the name. Raises AddressError when no address can be bound."""
-        lookups = AddressLookups(self._each, passive=True)
+        lookups = AddressLookups(self._parts, passive=True)
         try:
             await lookups.settle()
             failures = await self._bind(lookups.found)
         except (OSError, UnicodeError) as error:
-            raise AddressError(self._requested, self._why(error)) from None
+            raise AddressError(self._requested, self._describe_error(error)) from None
         finally:
             lookups.cancel()
         if not self._servers:
@@ -93,7 +93,7 @@ class PortListener:
     def address(self) -> str:
         """The listening addresses, with the actual port if 0 was requested; for one name only the first."""
         addresses = list(self._addresses.values())
-        return addresses[0] if len(self._each) == 1 else ",".join(addresses)
+        return addresses[0] if len(self._parts) == 1 else ",".join(addresses)
 
     def close(self) -> None:
         """Stop accepting links."""
@@ -109,7 +109,7 @@ class PortListener:
 
     async def _check(self) -> None:
         """Listen at the present addresses of the name; keep the old ones when it does not resolve."""
-        lookups = AddressLookups(self._each, passive=True)
+        lookups = AddressLookups(self._parts, passive=True)
         try:
             with suppress(OSError, UnicodeError):
                 await lookups.settle()
@@ -118,72 +118,74 @@ class PortListener:
             lookups.cancel()
         self._plan()
 
-    async def _follow(self, found: list[ResolvedAddress], *, is_complete: bool) -> None:
+    async def _follow(self, endpoints: list[ResolvedAddress], *, is_complete: bool) -> None:
         before = set(self._servers)
-        failures = await self._bind([at for at in found if at not in self._servers])
-        for at in self._servers.keys() - before:
-            self._note(log_messages.LISTENING_ALSO.line(address=self._addresses[at], host=self._host))
+        failures = await self._bind([endpoint for endpoint in endpoints if endpoint not in self._servers])
+        for endpoint in self._servers.keys() - before:
+            self._note(log_messages.LISTENING_ALSO.line(address=self._addresses[endpoint], host=self._host))
         self._report(failures)
-        if is_complete and not self._servers.keys().isdisjoint(found):
-            for at in [at for at in self._servers if at not in found]:
-                self._servers.pop(at).close()
-                old = self._addresses.pop(at)
+        if is_complete and not self._servers.keys().isdisjoint(endpoints):
+            for endpoint in [endpoint for endpoint in self._servers if endpoint not in endpoints]:
+                self._servers.pop(endpoint).close()
+                old = self._addresses.pop(endpoint)
                 self._note(log_messages.LISTENING_ENDED.line(address=old, host=self._host))
 
     def _report(self, failures: dict[ResolvedAddress, str]) -> None:
         """Log the reasons for addresses that failed, once each."""
-        for at, why in failures.items():
-            if self._failures.get(at) != why:
-                where = self._address_text(at)
-                self._note(log_messages.LISTENING_FAILED.line(host=self._host, address=where, reason=why))
+        for endpoint, reason in failures.items():
+            if self._failures.get(endpoint) != reason:
+                text = self._address_text(endpoint)
+                self._note(log_messages.LISTENING_FAILED.line(host=self._host, address=text, reason=reason))
         self._failures = failures
 
-    async def _bind(self, found: list[ResolvedAddress]) -> dict[ResolvedAddress, str]:
+    async def _bind(self, endpoints: list[ResolvedAddress]) -> dict[ResolvedAddress, str]:
         """Bind addresses. Returns the reasons of failures, by address."""
         failures: dict[ResolvedAddress, str] = {}
-        for at in found:
+        for endpoint in endpoints:
             try:
-                server, name = await self._listen(at)
+                server, name = await self._listen(endpoint)
             except OSError as error:
-                failures[at] = self._why(error)
+                failures[endpoint] = self._describe_error(error)
                 continue
             if self._is_closed:
                 server.close()
             else:
-                self._servers[at], self._addresses[at] = server, name
+                self._servers[endpoint], self._addresses[endpoint] = server, name
         return failures
 
-    async def _listen(self, at: ResolvedAddress) -> tuple[SocketServer, str]:
+    async def _listen(self, endpoint: ResolvedAddress) -> tuple[SocketServer, str]:
         """The server at an address, and this address with its port. Raises OSError."""
-        made = bound_socket(at, at.address[1] or self._real_port())
-        name = socket_address(made.getsockname())
+        listening = bound_socket(endpoint, endpoint.address[1] or self._real_port())
+        name = socket_address(listening.getsockname())
         try:
-            return await self._serve(made), name
+            return await self._serve(listening), name
         except BaseException:
             # Another socket may have been bound to the same address, and may listen there now.
-            made.close()
+            listening.close()
             raise
 
-    def _address_text(self, at: ResolvedAddress) -> str:
-        return socket_address((at.address[0], at.address[1] or self._real_port(), *at.address[2:]))
+    def _address_text(self, endpoint: ResolvedAddress) -> str:
+        return socket_address(
+            (endpoint.address[0], endpoint.address[1] or self._real_port(), *endpoint.address[2:])
+        )
 
     def _real_port(self) -> int:
         """The port that the kernel chose for port 0."""
         return split_address(next(iter(self._addresses.values())))[1] if self._addresses else 0
 
 
-def bound_socket(at: ResolvedAddress, port: int) -> socket.socket:
+def bound_socket(endpoint: ResolvedAddress, port: int) -> socket.socket:
     """A socket bound to an address; "::" covers both families. Raises OSError."""
-    made = socket.socket(at.family, socket.SOCK_STREAM)
+    bound = socket.socket(endpoint.family, socket.SOCK_STREAM)
     try:
         # Connections of an earlier process in TIME_WAIT do not prevent binding.
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if at.family == socket.AF_INET6:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, at.address[0] != "::")
-        made.bind((at.address[0], port, *at.address[2:]))
-        made.setblocking(False)
-        set_listening_options(made)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if endpoint.family == socket.AF_INET6:
+            bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, endpoint.address[0] != "::")
+        bound.bind((endpoint.address[0], port, *endpoint.address[2:]))
+        bound.setblocking(False)
+        set_listening_options(bound)
     except BaseException:
-        made.close()
+        bound.close()
         raise
-    return made
+    return bound

@@ -81,8 +81,8 @@ class StandbyLinks:
     ) -> None:
         self._owner, self._transport, self._addresses = owner, transport, team.addresses
         self._admission, self.now = admission, owner.now
-        self._numbers, self._here = team.hosts, team.here
-        own = next(host for host, number in team.hosts.items() if number == team.here)
+        self._numbers, self._own_number = team.hosts, team.own_number
+        own = next(host for host, number in team.hosts.items() if number == team.own_number)
         self._hello = Hello("standby", own, 0)
         self._paths: dict[str, _HostPaths] = {}
         self._ticker: asyncio.Task[None] | None = None
@@ -132,14 +132,14 @@ class StandbyLinks:
     def close_rejected(self) -> None:
         """Close the standby connections of peers that lost their authorisation."""
         for paths in self._paths.values():
-            if paths.standby is not None and not self._is_admitted(paths.standby.link.who):
+            if paths.standby is not None and not self._is_admitted(paths.standby.link.identity):
                 paths.standby.link.abort()
 
     def on_hello(self, link: Link, hello: Hello) -> None:
         """A host offers a connection as a standby. Raises HandshakeError."""
         host = hello.host
-        if link.who.name != host or not self._is_admitted(link.who):
-            raise HandshakeError(f"{link.who} may have no standby connection as {host}")
+        if link.identity.name != host or not self._is_admitted(link.identity):
+            raise HandshakeError(f"{link.identity} may have no standby connection as {host}")
         if self._owner.link_of(host) is None:
             raise HandshakeError(f"there is no link with {host} beside which it would be a standby")
         connection = StandbyConnection(self, host, self.now(), dialled=False)
@@ -177,13 +177,13 @@ class StandbyLinks:
         if paths is not None and paths.standby is connection:
             paths.standby = None
 
-    def _is_admitted(self, who: Identity) -> bool:
+    def _is_admitted(self, identity: Identity) -> bool:
         """Whether a peer is a host that may have a link now."""
-        is_member = who.kind == "host" and who.name in self._numbers
+        is_member = identity.kind == "host" and identity.name in self._numbers
         return (
             is_member
-            and not self._owner.ban_remaining(who.name)
-            and self._admission.decide(who, linked=True).extent != "nothing"
+            and not self._owner.ban_remaining(identity.name)
+            and self._admission.decide(identity, linked=True).extent != "nothing"
         )
 
     # --- changing the path ----------------------------------------------------------------------------
@@ -255,7 +255,7 @@ class StandbyLinks:
         The side that dialled the link dials the standby; the accepting side does so only if its own address
         leaves no choice.
         """
-        if session.dialled is None and len(split_addresses(self._addresses[self._here])) > 1:
+        if session.dialled is None and len(split_addresses(self._addresses[self._own_number])) > 1:
             return []
         addresses = split_addresses(self._addresses[self._numbers[host]])
         if len(addresses) < 2:
@@ -295,7 +295,7 @@ class StandbyLinks:
             return None
         session = self._owner.link_of(host)
         is_useful = session is not None and _ip(session.link) != _ip(link)
-        if not is_useful or link.who.name != host or not self._is_admitted(link.who):
+        if not is_useful or link.identity.name != host or not self._is_admitted(link.identity):
             link.abort()
             return None
         connection.open(link, self._hello)

@@ -80,8 +80,8 @@ class TlsLink(StreamLink):
             self._process_coming(coming)
             return
         self._remaining = coming
-        strangers, is_answered, self.is_answered = self._scheduler.handshakes, self.is_answered, True
-        strangers.add(self, self._source, is_answered=is_answered)
+        handshakes, is_answered, self.is_answered = self._scheduler.handshakes, self.is_answered, True
+        handshakes.add(self, self._source, is_answered=is_answered)
         self._update_reading()
 
     def receive_frame(self, data: Buffer) -> bool:
@@ -127,7 +127,7 @@ class TlsLink(StreamLink):
         if more and not channel.proven:
             return True
         self._remaining = None
-        if channel.proven and channel.who.kind == "host":
+        if channel.proven and channel.identity.kind == "host":
             self._join()
             self._scheduler.members.on_handshake(self, self._member, self._spent)
         if more and (self._is_rationed or self._is_observer):
@@ -146,12 +146,12 @@ class TlsLink(StreamLink):
         try:
             for start in range(0, len(view), size):
                 for plain in channel.receive(view[start : start + size]):
-                    self.who = channel.who
+                    self.identity = channel.identity
                     yield from self.deliver_pending(plain)
                     if self.closed:
                         return
                 self._send_handshake(channel)
-                self.who = channel.who
+                self.identity = channel.identity
                 if channel.proven and not self._proven.done():
                     self._check_host(channel)
                     self._proven.set_result(None)
@@ -162,10 +162,11 @@ class TlsLink(StreamLink):
             self._on_tls_error(channel, error)
 
     def _check_host(self, channel: TlsChannel) -> None:
-        who, required = channel.who, self._required
-        if required and who.kind == "host" and who.name != required:
+        identity, required = channel.identity, self._required
+        if required and identity.kind == "host" and identity.name != required:
             raise HandshakeError(
-                f"{who.name} answered at an address of {required}; correct the address", answered_by=who.name
+                f"{identity.name} answered at an address of {required}; correct the address",
+                answered_by=identity.name,
             )
 
     def _on_tls_error(self, channel: TlsChannel, error: LfieldError) -> None:

@@ -45,15 +45,15 @@ class DatagramReader(Protocol):
 class DatagramPort:
     """One UDP socket in the running loop. `busy` is the CPU time of this thread."""
 
-    def __init__(self, made: socket.socket, reader: DatagramReader, busy: Callable[[], float]) -> None:
-        self._socket, self._reader, self._busy = made, reader, busy
+    def __init__(self, udp_socket: socket.socket, reader: DatagramReader, busy: Callable[[], float]) -> None:
+        self._socket, self._reader, self._busy = udp_socket, reader, busy
         self._loop = asyncio.get_running_loop()
         self._since, self._spent = self._loop.time(), 0.0
         self._waiting: asyncio.TimerHandle | None = None
         #: The senders dropped by the kernel filter, each with the end of the drop.
         self._flooders: dict[Flooder, float] = {}
-        attach(made, ())
-        self._loop.add_reader(made.fileno(), self._read)
+        attach(udp_socket, ())
+        self._loop.add_reader(udp_socket.fileno(), self._read)
 
     @property
     def flooders(self) -> list[Flooder]:
@@ -94,24 +94,24 @@ class DatagramPort:
             except OSError:
                 # No datagram is left, or an earlier answer could not be delivered.
                 return
-            may_be_one = SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC)
-            if may_be_one and not received(self, address, data):
+            may_be_order = SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC)
+            if may_be_order and not received(self, address, data):
                 self._drop(address)
 
     def _drop(self, address: Address) -> None:
         """Drop datagrams of this sender in the kernel for the next seconds."""
-        found = flooder_at(address[0], address[1])
-        same = [one for one in self._flooders if one.address == found.address]
-        if any(one.port == ANY_PORT for one in same):
+        flooder = flooder_at(address[0], address[1])
+        ports_of_sender = [known for known in self._flooders if known.address == flooder.address]
+        if any(known.port == ANY_PORT for known in ports_of_sender):
             return
-        if len(same) >= FLOODING_PORTS:
-            for one in same:
-                del self._flooders[one]
-            found = found._replace(port=ANY_PORT)
-        if found not in self._flooders and len(self._flooders) < MAX_FLOODERS:
+        if len(ports_of_sender) >= FLOODING_PORTS:
+            for known in ports_of_sender:
+                del self._flooders[known]
+            flooder = flooder._replace(port=ANY_PORT)
+        if flooder not in self._flooders and len(self._flooders) < MAX_FLOODERS:
             if not self._flooders:
                 self._loop.call_later(DROP_SECONDS, self._unblock_expired)
-            self._flooders[found] = self._loop.time() + DROP_SECONDS
+            self._flooders[flooder] = self._loop.time() + DROP_SECONDS
             attach(self._socket, self._flooders)
 
     def _unblock_expired(self) -> None:
@@ -119,7 +119,7 @@ class DatagramPort:
         if self._socket.fileno() < 0:
             return
         now = self._loop.time()
-        self._flooders = {found: until for found, until in self._flooders.items() if until > now}
+        self._flooders = {flooder: until for flooder, until in self._flooders.items() if until > now}
         attach(self._socket, self._flooders)
         if self._flooders:
             self._loop.call_later(min(self._flooders.values()) - now, self._unblock_expired)
@@ -140,19 +140,19 @@ class LinkServer:
 
 def datagram_socket_at(listening: socket.socket) -> socket.socket:
     """A UDP socket at the address and port of a listening socket. Raises OSError."""
-    made = socket.socket(listening.family, socket.SOCK_DGRAM)
+    udp_socket = socket.socket(listening.family, socket.SOCK_DGRAM)
     try:
         if listening.family == socket.AF_INET6:
-            only = listening.getsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY)
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, only)
-        made.bind(listening.getsockname())
-        made.setblocking(False)
+            ipv6_only = listening.getsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY)
+            udp_socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, ipv6_only)
+        udp_socket.bind(listening.getsockname())
+        udp_socket.setblocking(False)
         with suppress(OSError):
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
     except BaseException:
-        made.close()
+        udp_socket.close()
         raise
-    return made
+    return udp_socket
 
 
 def network_of(address: Address) -> str:

@@ -54,10 +54,10 @@ def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
     import ctypes
 
     code = program(flooders)
-    held = ctypes.create_string_buffer(code)
-    prog = struct.pack("HL", len(code) // 8, ctypes.addressof(held))
+    buffer = ctypes.create_string_buffer(code)
+    sock_fprog = struct.pack("HL", len(code) // 8, ctypes.addressof(buffer))
     try:
-        receiving.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, prog)
+        receiving.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, sock_fprog)
     except OSError:
         return False
     return True
@@ -65,9 +65,9 @@ def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
 
 def program(flooders: Iterable[Flooder]) -> bytes:
     """The BPF program. The program compares the last 32 bits of an IPv6 address."""
-    known = list(flooders)[:MAX_FLOODERS]
-    four = _senders([one for one in known if len(one.address) == 4], _NET + 12)
-    six = _senders([one for one in known if len(one.address) == 16], _NET + 20)
+    dropped = list(flooders)[:MAX_FLOODERS]
+    ipv4_code = _senders([flooder for flooder in dropped if len(flooder.address) == 4], _NET + 12)
+    ipv6_code = _senders([flooder for flooder in dropped if len(flooder.address) == 16], _NET + 20)
     code = [
         (_LD, 0, 0, _UDP),
         (_JEQ, 1, 0, int.from_bytes(MAGIC)),
@@ -79,18 +79,18 @@ def program(flooders: Iterable[Flooder]) -> bytes:
         (_RET, 0, 0, _NONE),
         (_LDB, 0, 0, _NET),
         (_AND, 0, 0, 0xF0),
-        (_JEQ, 0, len(six), 0x60),
-        *six,
-        *four,
+        (_JEQ, 0, len(ipv6_code), 0x60),
+        *ipv6_code,
+        *ipv4_code,
     ]
     return b"".join(struct.pack("=HBBI", *line) for line in code)
 
 
-def _senders(senders: list[Flooder], place: int) -> list[tuple[int, int, int, int]]:
+def _senders(senders: list[Flooder], offset: int) -> list[tuple[int, int, int, int]]:
     """Instructions that drop these senders, with addresses at an offset, and accept all others."""
     code = []
-    for one in senders:
-        ip_bits = int.from_bytes(one.address[-4:])
-        port = [] if one.port == ANY_PORT else [(_LDH, 0, 0, 0), (_JEQ, 0, 1, one.port)]
-        code += [(_LD, 0, 0, place), (_JEQ, 0, len(port) + 1, ip_bits), *port, (_RET, 0, 0, _NONE)]
+    for sender in senders:
+        ip_bits = int.from_bytes(sender.address[-4:])
+        port = [] if sender.port == ANY_PORT else [(_LDH, 0, 0, 0), (_JEQ, 0, 1, sender.port)]
+        code += [(_LD, 0, 0, offset), (_JEQ, 0, len(port) + 1, ip_bits), *port, (_RET, 0, 0, _NONE)]
     return [*code, (_RET, 0, 0, _ALL)]

@@ -84,8 +84,8 @@ class RoundTrip(SmoothedRtt):
         """The longest sample, decaying with HALF_LIFE, and at least `bound`; FIRST before any sample."""
         if self.bound is None:
             return INITIAL_RTT
-        kept: float = self._longest * 2.0 ** ((self._at - now) / HALF_LIFE)
-        return max(kept, self.bound)
+        decayed: float = self._longest * 2.0 ** ((self._at - now) / HALF_LIFE)
+        return max(decayed, self.bound)
 
 
 class Heartbeats:
@@ -119,10 +119,10 @@ class Heartbeats:
         """Whether to send a heartbeat: without traffic, half a second before the end of an interval if it is
         the turn of this end, otherwise half a second after; with other traffic, after five intervals.
         """
-        every = self.interval(now, is_idle=is_idle)
-        turn = self._first if is_idle else self._turn
-        waits = every + (-0.5 if turn else 0.5) * PING_EVERY
-        return silent >= waits or now - self._sent_at >= 5 * every
+        interval = self.interval(now, is_idle=is_idle)
+        is_turn = self._first if is_idle else self._turn
+        wait = interval + (-0.5 if is_turn else 0.5) * PING_EVERY
+        return silent >= wait or now - self._sent_at >= 5 * interval
 
     def send(self, now: float) -> int:
         """Record a sent heartbeat. Returns its token."""

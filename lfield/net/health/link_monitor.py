@@ -81,8 +81,8 @@ class LinkActivity:
 
 
 class LinkMonitor:
-    """The links of host number `here`; `hosts` are all hosts with their numbers, and `now` is a monotonic
-    clock, in seconds.
+    """The links of host number `own_number`; `hosts` are all hosts with their numbers, and `now` is a
+    monotonic clock, in seconds.
 
     Heartbeats of hosts carry the timestamps of `hybrid_clock`; heartbeats of idle links are `idle_interval`
     seconds apart.
@@ -91,13 +91,13 @@ class LinkMonitor:
     def __init__(
         self,
         hosts: Mapping[str, int],
-        here: int,
+        own_number: int,
         now: Callable[[], float],
         hybrid_clock: HybridClock,
         idle_interval: float = IDLE_PING_EVERY,
     ) -> None:
         self._now, self._hybrid_clock = now, hybrid_clock
-        self._hosts, self._here, self._idle_interval = hosts, here, idle_interval
+        self._hosts, self._own_number, self._idle_interval = hosts, own_number, idle_interval
         #: The heartbeats of each host that has had a link.
         self._heartbeats: dict[str, Heartbeats] = {}
         self._links: dict[str, tuple[MonitoredLink, LinkTraffic, LinkActivity]] = {}
@@ -113,7 +113,7 @@ class LinkMonitor:
 
     def _heartbeats_of(self, host: str) -> Heartbeats:
         if (found := self._heartbeats.get(host)) is None:
-            first = self._here < self._hosts[host]
+            first = self._own_number < self._hosts[host]
             found = self._heartbeats[host] = Heartbeats(first=first, idle_interval=self._idle_interval)
         return found
 

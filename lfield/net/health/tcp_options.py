@@ -53,25 +53,25 @@ class TcpSocket(Protocol):
         """Set an option."""
 
 
-def set_options(made: TcpSocket) -> None:
+def set_options(connection: TcpSocket) -> None:
     """Set the options that this kernel has."""
     # A hop is one small unanswered write, which must not be delayed for coalescing (Nagle).
-    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     for option, value in (
         (NOTSENT_LOWAT, MAX_NOT_SENT),
         (DELACK_MAX_US, LONGEST_ACK_DELAY_US),
     ):
         with suppress(OSError):
-            made.setsockopt(socket.IPPROTO_TCP, option, value)
-    set_time_outs(made, 0.0)
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
+    set_time_outs(connection, 0.0)
 
 
-def set_listening_options(made: TcpSocket) -> None:
+def set_listening_options(connection: TcpSocket) -> None:
     """Answer a caller only twice, at once and after a second: the caller dials again.
 
     The kernel's five repetitions would fill a path that has become so slow that callers have given up.
     """
-    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_SYNCNT, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_SYNCNT, 1)
 
 
 def margin(round_trip: float) -> float:
@@ -79,7 +79,7 @@ def margin(round_trip: float) -> float:
     return min(MAX_MARGIN, max(MIN_MARGIN, MARGIN * round_trip))
 
 
-def set_time_outs(made: TcpSocket, round_trip: float) -> None:
+def set_time_outs(connection: TcpSocket, round_trip: float) -> None:
     """Set the retransmission time-outs for a measured round trip in s, if this kernel has the options."""
     congested = round_trip >= CONGESTED
     longest = (
@@ -93,18 +93,18 @@ def set_time_outs(made: TcpSocket, round_trip: float) -> None:
         (RTO_MIN_US, round(margin(round_trip) * 1e6)),
     ):
         with suppress(OSError):
-            made.setsockopt(socket.IPPROTO_TCP, option, value)
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
-def delay_acknowledgements(made: TcpSocket) -> None:
+def delay_acknowledgements(connection: TcpSocket) -> None:
     """Send the next acknowledgement with the answer; after a pause the kernel would send it alone."""
-    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
 
 
-def read_counts(made: TcpSocket) -> TcpCounts | None:
+def read_counts(connection: TcpSocket) -> TcpCounts | None:
     """The kernel's counters; None if they are incomplete (before Linux 4.19)."""
     try:
-        info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
+        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
     except OSError:
         return None
     if len(info) < _INFO_SIZE:
@@ -116,14 +116,14 @@ def read_counts(made: TcpSocket) -> TcpCounts | None:
     return TcpCounts(sent, received, segments, max(0, repeated - needless))
 
 
-def read_delivery(made: TcpSocket) -> Delivery | None:
+def read_delivery(connection: TcpSocket) -> Delivery | None:
     """The data that the kernel has delivered; None if the counters are incomplete (before Linux 5.4).
 
     Data is pending while it is in flight, or unsent although the peer has a window for it: without a route
     the kernel sends no data.
     """
     try:
-        info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _DELIVERY_SIZE)
+        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _DELIVERY_SIZE)
     except OSError:
         return None
     if len(info) < _DELIVERY_SIZE:

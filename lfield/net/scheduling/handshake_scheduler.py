@@ -126,8 +126,8 @@ def source_of(address: str) -> str:
     return host
 
 
-def _remember(kept: dict[str, None], source: str) -> None:
-    kept.pop(source, None)
-    kept[source] = None
-    if len(kept) > MAX_REMEMBERED:
-        del kept[next(iter(kept))]
+def _remember(sources: dict[str, None], source: str) -> None:
+    sources.pop(source, None)
+    sources[source] = None
+    if len(sources) > MAX_REMEMBERED:
+        del sources[next(iter(sources))]

@@ -206,10 +206,10 @@ class MemberScheduler:
         if member in self._links:
             uncharged = self._uncharged.get(member, 0.0) + spent - (self._exempt() - exempt)
             if uncharged >= CHARGE_UNIT:
-                standing = self._budgets.on_work(member, uncharged, now)
+                budget = self._budgets.on_work(member, uncharged, now)
                 uncharged = 0.0
-                if standing is not BudgetState.WITHIN:
-                    self._apply_budget(link, member, standing, now)
+                if budget is not BudgetState.WITHIN:
+                    self._apply_budget(link, member, budget, now)
             self._uncharged[member] = uncharged
         if self._spent_at_once + queue.charged >= SLICE and self._next_slice is None:
             self._charge_at_once()
@@ -265,27 +265,27 @@ class MemberScheduler:
             return
         weight = link.weight if member in self._probes else 0
         seconds += self._uncharged.pop(member, 0.0)
-        standing = self._budgets.on_work(member, seconds, now, weight)
+        budget = self._budgets.on_work(member, seconds, now, weight)
         if not more:
             self._queue.remove(link)
             del self._waiting[link]
-        self._apply_budget(link, member, standing, now)
+        self._apply_budget(link, member, budget, now)
 
-    def _apply_budget(self, link: MemberLink, member: str, standing: BudgetState, now: float) -> None:
-        if standing is BudgetState.WITHIN:
+    def _apply_budget(self, link: MemberLink, member: str, budget: BudgetState, now: float) -> None:
+        if budget is BudgetState.WITHIN:
             self._queue.set_rank(member, QueueRank.FIRST)
             return
         if member not in self._probes and self._budgets.probe_ends(member) is not None:
             for each in self._links.get(member, ()):
                 each.withhold(on=True)
             self._plan_probe_end(member)
-        if standing is BudgetState.FLOOD:
+        if budget is BudgetState.FLOOD:
             self._budgets.on_closed(member, now)
             link.on_excess(CpuBudgetExceeded(CPU_SHARE, MAX_EXCESS_TIME, closes=True))
             return
         if self._budgets.may_report(member, now):
             link.on_excess(CpuBudgetExceeded(CPU_SHARE, MAX_EXCESS_TIME, closes=False))
-        if standing is BudgetState.HELD:
+        if budget is BudgetState.HELD:
             self._pause(member)
         elif member not in self._paused:
             self._queue.set_rank(member, QueueRank.BEHIND)

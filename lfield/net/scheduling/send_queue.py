@@ -46,7 +46,11 @@ class SendQueue:
         #: The virtual time, and the time when the next frame of each kind starts.
         self._time, self._starts = 0.0, dict.fromkeys(SHARES, 0.0)
         #: The unsent rest of a frame in fragments, with its kind and whether it is compressed.
-        self._rest, self._rest_kind, self._is_rest_compressed = memoryview(b""), TrafficKind.HOP, False
+        self._remainder, self._remainder_kind, self._is_remainder_compressed = (
+            memoryview(b""),
+            TrafficKind.HOP,
+            False,
+        )
         #: The length of the next fragment.
         self.part = INITIAL_PART
         #: The number of waiting bytes.
@@ -66,7 +70,7 @@ class SendQueue:
 
     @property
     def _is_waiting(self) -> bool:
-        return bool(self._waiting or self._rest)
+        return bool(self._waiting or self._remainder)
 
     @property
     def is_full(self) -> bool:
@@ -81,20 +85,20 @@ class SendQueue:
     def add(self, data: Buffer, kind: TrafficKind) -> None:
         """Queue a whole frame."""
         # The data is copied, since its buffer may change before it is sent.
-        kept = data if isinstance(data, bytes) else bytes(data)
+        copy = data if isinstance(data, bytes) else bytes(data)
         if kind not in self._waiting:
             self._waiting[kind] = deque()
-            if kind in SHARES and not (self._rest and self._rest_kind == kind):
+            if kind in SHARES and not (self._remainder and self._remainder_kind == kind):
                 self._starts[kind] = max(self._starts[kind], self._time)
-        self._waiting[kind].append(kept)
-        self.size += len(kept)
+        self._waiting[kind].append(copy)
+        self.size += len(copy)
         self.is_idle = False
 
     def next(self) -> Buffer:
         """The bytes to send next; the queue must not be empty."""
         kind = self._next_kind()
         data = self._next_fragment() if kind is None else self._next_frame(kind)
-        charged = self._rest_kind if kind is None else kind
+        charged = self._remainder_kind if kind is None else kind
         if charged in SHARES:
             self._time = max(self._time, self._starts[charged])
             self._starts[charged] += len(data) / SHARES[charged]
@@ -105,12 +109,12 @@ class SendQueue:
         """The kind of the frame to send next; None for the next fragment."""
         if TrafficKind.STOP in self._waiting:
             return TrafficKind.STOP
-        kinds = self._waiting.keys() | ({self._rest_kind} if self._rest else set())
+        kinds = self._waiting.keys() | ({self._remainder_kind} if self._remainder else set())
         first = min(kinds, key=lambda kind: (self._starts[kind], kind))
-        if not self._rest:
+        if not self._remainder:
             return first
         # Only one frame at a time is in fragments, and frames of its kind follow it.
-        if first == self._rest_kind or len(self._waiting[first][0]) > self.part:
+        if first == self._remainder_kind or len(self._waiting[first][0]) > self.part:
             return None
         return first
 
@@ -121,29 +125,29 @@ class SendQueue:
         if not frames:
             del self._waiting[kind]
         self.size -= len(plain)
-        if self._rest and self._is_rest_compressed:
+        if self._remainder and self._is_remainder_compressed:
             # The peer expands compressed frames in the order in which they are complete.
             return plain
         data = self._code(plain, kind)
-        is_whole = self._rest or len(data) <= self.part or kind == TrafficKind.STOP
+        is_whole = self._remainder or len(data) <= self.part or kind == TrafficKind.STOP
         if is_whole or not may_be_fragmented(data):
             return data
-        self._rest, self._rest_kind = memoryview(data), kind
-        self._is_rest_compressed = data[HEADER_SIZE - 1] == COMPRESSED
+        self._remainder, self._remainder_kind = memoryview(data), kind
+        self._is_remainder_compressed = data[HEADER_SIZE - 1] == COMPRESSED
         self.size += len(data)
         return self._next_fragment()
 
     def _next_fragment(self) -> Buffer:
-        fragment, self._rest = self._rest[: self.part], self._rest[self.part :]
+        fragment, self._remainder = self._remainder[: self.part], self._remainder[self.part :]
         self.size -= len(fragment)
         return frame(PART, fragment)
 
     def rest(self) -> list[Buffer]:
         """All waiting bytes, in the order of `next`."""
-        found = []
+        frames = []
         while self._is_waiting:
-            found.append(self.next())
-        return found
+            frames.append(self.next())
+        return frames
 
     def on_accepted(self) -> None:
         """The connection has accepted the bytes of `next`, and accepts more."""
@@ -167,5 +171,5 @@ class SendQueue:
     def clear(self) -> None:
         """Discard all waiting frames."""
         self._waiting.clear()
-        self._rest, self.size = memoryview(b""), 0
+        self._remainder, self.size = memoryview(b""), 0
         self._update()

@@ -135,14 +135,14 @@ class ZenohEndpoint:
 
     async def find(self, name: str, port: int) -> tuple[bool, int]:
         """Whether a program listens at a name, and how many routers and peers this process reaches."""
-        found: asyncio.Future[tuple[bool, int]] = self._loop.create_future()
+        result: asyncio.Future[tuple[bool, int]] = self._loop.create_future()
 
         def on_found(exists: bool, neighbours: int) -> None:
-            if not found.done():
-                found.set_result((exists, neighbours))
+            if not result.done():
+                result.set_result((exists, neighbours))
 
         self._session.find_token(f"{ROOT}/at/{name}/{port}", self._in_loop(on_found))
-        return await found
+        return await result
 
     def has_listener(self, name: str, port: int) -> bool:
         """Whether this process itself listens at a name."""

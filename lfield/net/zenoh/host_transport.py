@@ -110,7 +110,7 @@ class HostTransport:
 
 def _groups(address: str) -> list[str]:
     """The addresses in order; TCP addresses are in one group, because TCP tries them at the same time."""
-    each = split_addresses(address)
-    tcp = ",".join(one for one in each if not is_zenoh(one))
-    groups = dict.fromkeys(one if is_zenoh(one) else tcp for one in each)
+    addresses = split_addresses(address)
+    tcp = ",".join(part for part in addresses if not is_zenoh(part))
+    groups = dict.fromkeys(part if is_zenoh(part) else tcp for part in addresses)
     return list(groups)

@@ -114,8 +114,8 @@ class ZenohPipe(asyncio.Transport):
     def write(self, data: Buffer) -> None:
         if self._is_closing or not data:
             return
-        kept = data if isinstance(data, bytes) else bytes(data)
-        self._execute(self._stream.write(kept, self._loop.time()))
+        copy = data if isinstance(data, bytes) else bytes(data)
+        self._execute(self._stream.write(copy, self._loop.time()))
         if self._stream.pending > self._high and not self._is_writing_paused and self._link is not None:
             self._is_writing_paused = True
             self._link.pause_writing()

@@ -58,9 +58,9 @@ class ReceiveBuffer:
             return Arrival.OUT_OF_ORDER
         was_gap = bool(self._ahead)
         self._receive(packet)
-        while (kept := self._ahead.pop(self.expected, None)) is not None:
-            self._ahead_size -= len(kept.data)
-            self._receive(kept)
+        while (following := self._ahead.pop(self.expected, None)) is not None:
+            self._ahead_size -= len(following.data)
+            self._receive(following)
         if self._unread_size > MAX_BYTES or len(self._unread) > MAX_AHEAD:
             return Arrival.EXCESS
         return Arrival.CLOSED_GAP if was_gap else Arrival.EXPECTED

@@ -181,12 +181,12 @@ class ZenohSession:
 
     def _find_token(self, key: str, on_found: OnFound) -> None:
         assert self._session is not None
-        info, found = self._session.info, list[bool]()
+        info, answers = self._session.info, list[bool]()
         neighbours = len(info.routers_zid()) + len(info.peers_zid())
         self._session.liveliness().get(
             key,
             _handler(
-                lambda reply: found.append(reply.ok is not None), lambda: on_found(any(found), neighbours)
+                lambda reply: answers.append(reply.ok is not None), lambda: on_found(any(answers), neighbours)
             ),
             timeout=QUERY_TIMEOUT,
         )
@@ -247,21 +247,21 @@ def _handler(call: Callable[[Any], None], drop: Callable[[], None] | None = None
 
 
 def _zenoh_config(config: ZenohConfig) -> zenoh.Config:
-    made = zenoh.Config()
+    settings = zenoh.Config()
     for key, value in config.options().items():
-        made.insert_json5(key, value)
-    return made
+        settings.insert_json5(key, value)
+    return settings
 
 
 def rejected_setting(config: ZenohConfig) -> str:
     """The first setting that Zenoh rejects, with the reason; '' if Zenoh accepts all."""
-    made = zenoh.Config()
+    settings = zenoh.Config()
     for key, value in config.options().items():
         try:
-            made.insert_json5(key, value)
+            settings.insert_json5(key, value)
         except zenoh.ZError as error:
-            found = _QUOTED.search(_first_line(error))
-            return f"{key}: {found[1] if found else _first_line(error)}"
+            quoted = _QUOTED.search(_first_line(error))
+            return f"{key}: {quoted[1] if quoted else _first_line(error)}"
     return ""
 
 

@@ -43,7 +43,7 @@ class ServiceLink(ObserverLink):
         """Start the handshake, once."""
         if self._handshake is None:
             self._link = link
-            self._handshake = Handshake(Hello("observer", "observer", 0), link.who, dialled=self.host)
+            self._handshake = Handshake(Hello("observer", "observer", 0), link.identity, dialled=self.host)
             link.send(self._handshake.first_message())
         return self._handshake
 
@@ -134,7 +134,7 @@ async def open_service_link(
     handler = ServiceLink(host, crl)
     link = await transport.connect(address, handler, host)
     try:
-        if link.who.kind == "stranger":
+        if link.identity.kind == "stranger":
             raise KeysError(
                 f"the service at {address} accepts commands only with keys: 'lfield keys init --person NAME' "
                 "makes them; --keys names their directory"

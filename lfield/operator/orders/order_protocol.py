@@ -279,9 +279,9 @@ class OrderProtocol:
                 self._send(name, now)
 
     def _on_answer(self, answer: OrderAnswer, known: VerifiedCertificate, now: float) -> None:
-        name = known.who.name
+        name = known.identity.name
         host = self._hosts.get(name)
-        if known.who.kind != "host" or host is None or answer.id != self.id or host.result is not None:
+        if known.identity.kind != "host" or host is None or answer.id != self.id or host.result is not None:
             return
         self._certificates.add(known)
         host.known, host.has_answered, host.unanswered = known, True, 0

@@ -177,7 +177,7 @@ def test_a_bundle_is_signed_in_place_and_keeps_its_digest(
     after = bundle.contents(path.read_bytes())
     assert (after.digest, after.parts) == (before.digest, before.parts)
     trusted = folders.read_trusted(team)
-    assert verify_bundle(after.digest, after.signature, trusted).who.name == "anna"
+    assert verify_bundle(after.digest, after.signature, trusted).identity.name == "anna"
     assert re.fullmatch(r"signed    by anna, 20\S+ \S+ UTC", here("inspect", "mission.lfm").out[1])
     bundle.read(path)
     # A second signature leaves the bundle unchanged.

@@ -38,7 +38,7 @@ class Desk:
         self.fleet = Fleet(
             load_mission(folder / "mission.dL", simulate=True), 1, options=FleetOptions(keeps=True)
         )
-        self.who = Identity("person", "anna", ALL_RIGHTS)
+        self.identity = Identity("person", "anna", ALL_RIGHTS)
         self.answers: list[EmergencyStopResult | OrderChallenge] = []
         self.fleet.run(3.0)
 

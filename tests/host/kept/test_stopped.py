@@ -59,7 +59,7 @@ class Person:
     """Sends and lifts the stop of the host of a fleet; `kept` is the reason on the disk at each answer."""
 
     def __init__(self, fleet: Fleet) -> None:
-        self._fleet, self.who = fleet, Identity("person", "anna", ALL_RIGHTS)
+        self._fleet, self.identity = fleet, Identity("person", "anna", ALL_RIGHTS)
         self.answers: list[EmergencyStopResult] = []
         self.kept: list[str] = []
 

@@ -57,18 +57,18 @@ class CertificateWorld:
         self.ring = Keyring(folder)
         self.keys = self.ring.made("host", "alpha")
         self.now = time.time()
-        self.who: dict[str, Identity] = {}
+        self.identities: dict[str, Identity] = {}
         self.kept: list[bytes] = []
         for number, name in enumerate(("alpha", "bravo", "desk")):
             kind, may = ("person", ALL_RIGHTS) if name == "desk" else ("host", NO_RIGHTS)
             at = self.now + 1000.0
-            self.who[name] = Identity(kind, name, may, f"a{number}", at - DAY, at + DAY, "ours")
+            self.identities[name] = Identity(kind, name, may, f"a{number}", at - DAY, at + DAY, "ours")
         monkeypatch.setattr(
-            memory_network, "host_at_address", lambda address: self.who[address.partition(":")[0]]
+            memory_network, "host_at_address", lambda address: self.identities[address.partition(":")[0]]
         )
 
     def set(self, name: str, **fields) -> None:
-        self.who[name] = replace(self.who[name], **fields)
+        self.identities[name] = replace(self.identities[name], **fields)
 
     def ends(self, name: str, after: float) -> None:
         self.set(name, valid_until=self.now + 1000.0 + after)
@@ -81,7 +81,7 @@ class CertificateWorld:
         clock = OffsetClock(self.now if begin is None else begin)
         return CertificateAdmission(
             self.keys,
-            self.who[name],
+            self.identities[name],
             TrustedClock(clock),
             revoked,
             data,
@@ -181,7 +181,7 @@ async def test_a_revoked_peer_loses_its_link_except_in_flight(team, /, certifica
     for deployment, stays in ((DONE, False), (ENDLESS, True)):
         alpha, bravo = await both_up(team, certificates, deployment)
         await team.until(lambda alpha=alpha: linked(alpha))
-        desk = await _send_list(team, certificates.list(7, certificates.who["bravo"].serial))
+        desk = await _send_list(team, certificates.list(7, certificates.identities["bravo"].serial))
         await asyncio.sleep(5.0)
         assert linked(alpha) == stays
         assert "the keys of host bravo are revoked (list 7)" in alpha.log
@@ -193,7 +193,7 @@ async def test_a_revoked_peer_loses_its_link_except_in_flight(team, /, certifica
 async def test_a_revoked_host_gets_no_new_link_even_in_flight(team, /, certificates):
     alpha, _ = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
-    await _send_list(team, certificates.list(7, certificates.who["bravo"].serial))
+    await _send_list(team, certificates.list(7, certificates.identities["bravo"].serial))
     await team.until(lambda: "are revoked" in alpha.log)
     team.network.cut("alpha", "bravo")
     await asyncio.sleep(20.0)
@@ -205,7 +205,7 @@ async def test_a_revoked_host_loses_its_observer_link_even_in_flight(team, /, ce
     await team.until(lambda: linked(alpha))
     looks = await _observer(team, "bravo", Subscribe())
     desk = await _observer(team, "desk")
-    desk.link.send(RevocationUpdate(certificates.list(7, certificates.who["bravo"].serial)))
+    desk.link.send(RevocationUpdate(certificates.list(7, certificates.identities["bravo"].serial)))
     await team.until(lambda: looks.over)
     assert "the keys of host bravo are revoked (list 7)" in looks.refused
     assert linked(alpha), "the link of the host itself stays, to finish"
@@ -218,7 +218,7 @@ async def test_a_list_received_during_a_handshake_refuses_the_link(team, /, cert
     )
     slow = await _observer(team, "bravo", greets=alpha.host.hello())
     await team.until(lambda: slow.heard)
-    await _send_list(team, certificates.list(7, certificates.who["bravo"].serial))
+    await _send_list(team, certificates.list(7, certificates.identities["bravo"].serial))
     await team.until(lambda: slow.over)
     assert "are revoked (list 7)" in slow.refused
     assert not linked(alpha)
@@ -240,7 +240,7 @@ async def test_with_an_expired_certificate_a_peer_may_still_observe_and_stop_in_
     epoch = alpha.host.core.orders.epochs.hold
     looks.link.send(EmergencyStop(bytes(16), "enough", epoch=epoch))
     await team.until(lambda: looks.over)
-    assert f"the certificate of {certificates.who[name]} expired" in looks.refused
+    assert f"the certificate of {certificates.identities[name]} expired" in looks.refused
     assert "EMERGENCY STOP" in alpha.log
 
 
@@ -255,7 +255,9 @@ async def test_a_list_with_a_wrong_signature_closes_only_its_link(team, /, certi
 
 
 async def test_a_revoked_person_is_refused(team, /, certificates):
-    await both_up(team, certificates, ENDLESS, alpha=certificates.list(1, certificates.who["desk"].serial))
+    await both_up(
+        team, certificates, ENDLESS, alpha=certificates.list(1, certificates.identities["desk"].serial)
+    )
     with pytest.raises(HandshakeError, match="the keys of desk are revoked"):
         await send_request(team.network.transport("desk"), "alpha:8181", SNAPSHOT)
 

@@ -215,7 +215,7 @@ class Unsigned(OrderSigner):
     def __init__(self, keys: Keys) -> None:
         super().__init__(keys)
         self._sign = lambda data: bytes(64)
-        self.known[self.digest] = VerifiedCertificate(self.certificate, self.who)
+        self.known[self.digest] = VerifiedCertificate(self.certificate, self.identity)
 
 
 @contextmanager

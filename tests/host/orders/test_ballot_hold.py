@@ -26,7 +26,7 @@ class Sender:
     peer = "the test"
 
     def __init__(self, who: Identity) -> None:
-        self.who, self.answers = who, list[Any]()
+        self.identity, self.answers = who, list[Any]()
 
     def send(self, message: Any) -> None:
         self.answers.append(message)

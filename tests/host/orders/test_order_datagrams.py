@@ -271,7 +271,7 @@ def test_a_host_may_stop_another_and_not_lift():
 def test_a_revoked_person_is_denied(known):
     world = taught(World("alpha")) if known else World("alpha")
     alpha = world.posts["alpha"]
-    serial = OrderSigner(person()).who.serial
+    serial = OrderSigner(person()).identity.serial
     alpha.admission.on_revocation_list(
         authority(0).revocation_list(RevocationList(1, frozenset({serial}), AT))
     )

@@ -30,7 +30,7 @@ class CallingPerson:
         self, fleet: Fleet, name: str = "anna", host: str = "alpha", *, kind: str = "person"
     ) -> None:
         self._fleet, self._host = fleet, host
-        self.who = Identity(kind, name, ALL_RIGHTS)  # type: ignore[arg-type]
+        self.identity = Identity(kind, name, ALL_RIGHTS)  # type: ignore[arg-type]
         self.results: list[PortalCallResult] = []
         self._number = 0
 
@@ -43,7 +43,7 @@ class CallingPerson:
         self, portal: str, *arguments: object, resource: str = "post", **changes: object
     ) -> PortalCallRequest:
         self._number += 1
-        id = f"{self.who.name}{self._number}".encode().ljust(16, b".")
+        id = f"{self.identity.name}{self._number}".encode().ljust(16, b".")
         data = encode_values(arguments, MAX_ARGUMENTS)
         fields = {"limit": 10.0, "incarnation": self._life.core.incarnation, **changes}
         return PortalCallRequest(id, resource=resource, portal=portal, arguments=data, **fields)  # type: ignore[arg-type]

@@ -127,16 +127,16 @@ async def test_an_address_of_another_host_does_not_prevent_a_connection():
     address = f"127.0.0.2:{port},127.0.0.3:{port}"
     caller = Recorder()
     link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, caller, "alpha")
-    assert (link.who.name, link.peer) == ("alpha", f"127.0.0.3:{port}")
+    assert (link.identity.name, link.peer) == ("alpha", f"127.0.0.3:{port}")
     assert caller.ends == []
     link.close()
     # Without an expected name, any host is accepted.
     link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder())
-    assert link.who.name == "bravo"
+    assert link.identity.name == "bravo"
     link.close()
     # At the last address, the handshake names the other host.
     link = await TcpTransport(MAX_BLOCK, ANNA).connect(f"127.0.0.2:{port}", Recorder(), "alpha")
-    assert link.who.name == "bravo"
+    assert link.identity.name == "bravo"
     link.close()
     right.close()
     with pytest.raises(AddressError) as caught:

@@ -115,7 +115,7 @@ class MemoryNetwork:
         near = MemoryLink(self, machine, address, self._max_block)
         far = MemoryLink(self, listener.machine, machine, self._max_block)
         near.other, far.other = far, near
-        near.who, far.who = host_at_address(listener.machine), host_at_address(machine)
+        near.identity, far.identity = host_at_address(listener.machine), host_at_address(machine)
         near.handler = handler
         far.handler = listener.on_link(far)
         self._links += [near, far]

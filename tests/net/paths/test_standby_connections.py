@@ -22,7 +22,7 @@ class Wire:
     """A link that records the sent messages."""
 
     def __init__(self) -> None:
-        self.peer, self.who, self.sent, self.roles, self.handler = "there:1", ANONYMOUS, [], [], None
+        self.peer, self.identity, self.sent, self.roles, self.handler = "there:1", ANONYMOUS, [], [], None
 
     def send(self, message):
         self.sent.append(message)

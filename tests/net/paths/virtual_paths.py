@@ -57,7 +57,7 @@ class PathLink(FramedLink):
 
     def __init__(self, path: Path, peer: str, machine: str) -> None:
         super().__init__(peer, 1 << 20)
-        self.path, self.who = path, host_at_address(machine)
+        self.path, self.identity = path, host_at_address(machine)
         self._queue: deque[bytes] = deque()
         self._acked = self._in_flight = 0
         self._is_sending = self._done = False

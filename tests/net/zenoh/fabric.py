@@ -82,7 +82,7 @@ class ZenohBench(LoopBench):
     async def connect(self, address: str, handler, host=""):
         link = await self.connect_with(self.near, address, handler)
         # The kit sends at both ends at once; before its handshake the accepting end of TLS sends nothing.
-        while self._is_tls and any(each.who == ANONYMOUS and not each.closed for each in self.links):
+        while self._is_tls and any(each.identity == ANONYMOUS and not each.closed for each in self.links):
             await asyncio.sleep(self.interval)
         return link
 

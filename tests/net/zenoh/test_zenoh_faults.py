@@ -269,7 +269,7 @@ def test_a_process_uses_tcp_and_zenoh_together(router, team):
     tcp, fabric = listener.address.split(",")
     for address in (tcp, fabric, f"127.0.0.1:1,{fabric}", f"{fabric},{tcp}"):
         link = loop.run_until_complete(caller.connect(address, Recorder(), "alpha"))
-        assert str(link.who) == "host alpha"
+        assert str(link.identity) == "host alpha"
         assert link.peer == (fabric if address != tcp else tcp)
         link.abort()
     with pytest.raises(AddressError) as caught:

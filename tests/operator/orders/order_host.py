@@ -53,7 +53,9 @@ class OrderHost:
         self.life += 1
         self.signer, self.certificates = OrderSigner(self.own), CertificateCache(self.own.authority)
         self.orders = ExecutedOrders(self.rng.randbytes, kept)
-        self.admission = CertificateAdmission(self.own, self.signer.who, TrustedClock(self.clock, self.at))
+        self.admission = CertificateAdmission(
+            self.own, self.signer.identity, TrustedClock(self.clock, self.at)
+        )
         ports = OrderPorts(
             send=lambda sender, data: self.send(sender, data),
             relay=self.relay,

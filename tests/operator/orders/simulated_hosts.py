@@ -116,7 +116,7 @@ class Connection:
     def __init__(self, network: Network, host: Host, handler: Any) -> None:
         self.peer, self.closed = host.name, False
         self._network, self._host, self._handler = network, host, handler
-        self.who = OrderSigner(keys("host", host.name)).who
+        self.identity = OrderSigner(keys("host", host.name)).identity
 
     def send(self, message: Message) -> None:
         self._network.later(self._network.trip / 2.0, self._came, message)

@@ -173,12 +173,12 @@ class EventLink(ObserverLink):
     def greet(self, link: Link) -> Handshake:
         """Send the Hello once; the host's may arrive first. Raises KeysError."""
         if self._greeting is None:
-            if link.who.kind == "stranger":
+            if link.identity.kind == "stranger":
                 raise KeysError(
                     f"the host at {link.peer} accepts only observers with keys: 'lfield keys person' makes "
                     "them, and --keys, $LFIELD_KEYS or ~/.config/lfield/keys/me names their folder"
                 )
-            self._greeting = Handshake(Hello("observer", "observer", 0), link.who, dialled=self._host)
+            self._greeting = Handshake(Hello("observer", "observer", 0), link.identity, dialled=self._host)
             link.send(self._greeting.first_message())
             self._timer = asyncio.get_running_loop().call_later(CHECK_INTERVAL, self._check_silence)
         return self._greeting
