@@ -229,11 +229,8 @@ class MethodLowering:
             case ThrowExit(instruction):
                 thrown = self._value(instruction.quad.a, "i64")
                 null = self._leave(f"(i64.eqz {thrown})", instruction.pc, 1)
-                return [
-                    *null,
-                    f"(global.set $word {thrown})",
-                    *self.slots.exit_lines(instruction.pc, 0, THROWN),
-                ]
+                lines = self.slots.exit_lines(instruction.pc, 0, THROWN)
+                return [*null, f"(global.set $word {thrown})", *lines]
             case end:
                 assert isinstance(end, EngineCallExit)
                 return list(self.slots.exit_lines(end.instruction.pc, 0, STEP))
