@@ -44,17 +44,17 @@ def disassemble(program: Program) -> str:
     texts = [source.text.split("\n") for source in program.debug.sources]
     for index in range(len(core.methods)):
         lines += ["", *_MethodListing(program, index, texts).lines()]
-    return "\n".join(map(_shown, lines)) + "\n"
+    return "\n".join(map(_printed_line, lines)) + "\n"
 
 
 def instructions(program: Program, method: int) -> dict[int, tuple[str, str]]:
     """The instructions of a method as in the listing, by number, each with its line of L ('' if unknown)."""
     texts = [source.text.split("\n") for source in program.debug.sources]
     found = _MethodListing(program, method, texts).instructions()
-    return {pc: (_shown(line), _shown(text)) for pc, line, text in found}
+    return {pc: (_printed_line(line), _printed_line(text)) for pc, line, text in found}
 
 
-def _shown(line: str) -> str:
+def _printed_line(line: str) -> str:
     """A line without control characters of terminals: a program may be untrusted."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 

@@ -269,12 +269,12 @@ class CoordinationEmitter:
 def _result_locals(body: Sequence[Stmt]) -> list[Local]:
     """The locals that receive results of a `together` itself, not of a nested one."""
     found: dict[Local, None] = {}
-    for one in body:
-        match one:
+    for stmt in body:
+        match stmt:
             case StartCall(target=LocalGet(local=local)):
                 found[local] = None
             case tree.Together():
                 continue
-        for inner in tree_traversal.nested_bodies(one):
+        for inner in tree_traversal.nested_bodies(stmt):
             found.update(dict.fromkeys(_result_locals(inner)))
     return list(found)

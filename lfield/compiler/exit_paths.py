@@ -60,12 +60,12 @@ class ExitPaths:
     @property
     def loop(self) -> LoopLabels:
         """The innermost loop; the checker ensures that there is one."""
-        return next(one for one in reversed(self._enclosing) if isinstance(one, LoopLabels))
+        return next(scope for scope in reversed(self._enclosing) if isinstance(scope, LoopLabels))
 
     @property
     def is_in_loop(self) -> bool:
         """Whether the statement is in a loop."""
-        return any(isinstance(one, LoopLabels) for one in self._enclosing)
+        return any(isinstance(scope, LoopLabels) for scope in self._enclosing)
 
     @contextmanager
     def loop_body(self, loop: LoopLabels) -> Iterator[None]:
@@ -74,27 +74,27 @@ class ExitPaths:
         yield
         self._enclosing.pop()
 
-    def crossed_guard(self, to: Label | None) -> FinallyGuard | None:
+    def crossed_guard(self, label: Label | None) -> FinallyGuard | None:
         """The innermost guard that is left by a jump to a label of a loop, or by a return (None)."""
-        for one in reversed(self._enclosing):
-            if isinstance(one, FinallyGuard):
-                return one
-            if to in one:
+        for scope in reversed(self._enclosing):
+            if isinstance(scope, FinallyGuard):
+                return scope
+            if label in scope:
                 return None
         return None
 
-    def exits_guard(self, guard: FinallyGuard, to: Label | None) -> bool:
+    def exits_guard(self, guard: FinallyGuard, label: Label | None) -> bool:
         """Whether a jump to a label of a loop, or a return (None), leaves a guard."""
         inner = self._enclosing[self._enclosing.index(guard) :]
-        return not any(isinstance(one, LoopLabels) and to in one for one in inner)
+        return not any(isinstance(scope, LoopLabels) and label in scope for scope in inner)
 
-    def jump(self, to: Label) -> None:
+    def jump(self, label: Label) -> None:
         """Jump to a label of a loop."""
-        guard = self.crossed_guard(to)
+        guard = self.crossed_guard(label)
         if guard is None:
-            self._frame.code.jump("jmp", to)
+            self._frame.code.jump("jmp", label)
         else:
-            self._route_through(guard, to)
+            self._route_through(guard, label)
 
     def emit_return(self, result: int | None) -> None:
         """Return from the method, with an operand or nothing; the operand is released."""
@@ -117,10 +117,10 @@ class ExitPaths:
         self._frame.code.emit("return", result)
         self._frame.slots.release(result)
 
-    def _route_through(self, guard: FinallyGuard, to: Label | None) -> None:
+    def _route_through(self, guard: FinallyGuard, label: Label | None) -> None:
         frame = self._frame
         guard.exit_slot = guard.exit_slot or frame.slots.temporary(INT)
-        number = guard.exits.setdefault(to, len(guard.exits) + 1)
+        number = guard.exits.setdefault(label, len(guard.exits) + 1)
         frame.code.emit("move", guard.exit_slot, frame.constant(number))
         frame.code.emit("move", guard.thrown, frame.constant(None))
         frame.code.jump("jmp", guard.entry)
@@ -163,16 +163,16 @@ class ExitPaths:
         frame, code = self._frame, self._frame.code
         if not code.reachable:
             return
-        for to, number in guard.exits.items():
+        for label, number in guard.exits.items():
             test, other = frame.slots.temporary(BOOLEAN), Label()
             code.emit("eqi", test, guard.exit_slot, frame.constant(number))
             frame.slots.release(test)
-            if to is not None and self.crossed_guard(to) is None:
-                code.jump("bnz", to, test)
+            if label is not None and self.crossed_guard(label) is None:
+                code.jump("bnz", label, test)
                 continue
             code.jump("bz", other, test)
-            if to is not None:
-                self.jump(to)
+            if label is not None:
+                self.jump(label)
             else:
                 self.emit_return(guard.result or None)
                 guard.result = 0

@@ -131,8 +131,8 @@ class StatementEmitter:
     def _if(self, stmt: If) -> None:
         end = Label()
         rest: list[Stmt] = [stmt]
-        while self._code.reachable and (one := _single_if(rest)) is not None:
-            rest = self._rung(one, end)
+        while self._code.reachable and (rung := _single_if(rest)) is not None:
+            rest = self._rung(rung, end)
         self.block(rest)
         self._code.place(end)
 
@@ -228,8 +228,8 @@ class StatementEmitter:
 
 def _single_if(body: list[Stmt]) -> If | None:
     match body:
-        case [If() as one]:
-            return one
+        case [If() as stmt]:
+            return stmt
     return None
 
 

@@ -130,8 +130,8 @@ class Manifest:
         if not kinds:
             return ""
         guessed = self.undecided_options(resource, agent)
-        why = f"the kind of a {resource} is not known, so it is " if guessed else ""
-        return f"{why}simulated with {kinds}"
+        prefix = f"the kind of a {resource} is not known, so it is " if guessed else ""
+        return f"{prefix}simulated with {kinds}"
 
     @property
     def default_safe_state(self) -> str:

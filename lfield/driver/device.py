@@ -211,8 +211,8 @@ class Device:
 
     def check_idle(self) -> None:
         """Raises DeviceError while the device is in use and its settings must not be changed."""
-        if why := self._in_use():
-            raise self.error(f"nothing was written: {why}")
+        if reason := self._in_use():
+            raise self.error(f"nothing was written: {reason}")
 
     def publish(self, **values: object) -> None:
         """Publishes current telemetry values, converted to the team's frame.

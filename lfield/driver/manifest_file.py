@@ -146,12 +146,12 @@ def _check_cancels(top: YamlFields, instructions: Mapping[str, Instruction]) -> 
         instruction = instructions[entry.key]
         if not instruction.blocking or instruction.only_asks:
             if instruction.cancel:
-                why = f"'{entry.key}' cannot be cancelled: only a blocking instruction that acts can"
-                top.report("Y113", why, fields.value_span("cancel"))
+                reason = f"'{entry.key}' cannot be cancelled: only a blocking instruction that acts can"
+                top.report("Y113", reason, fields.value_span("cancel"))
         elif not instruction.cancel:
             top.report("Y110", f"'{entry.key}' does not declare what a cancel does", entry.key_span, _CANCEL)
-        elif why := _cannot_end(instruction, instructions):
-            top.report("Y113", why, fields.value_span("cancel"), _CANCEL)
+        elif reason := _cannot_end(instruction, instructions):
+            top.report("Y113", reason, fields.value_span("cancel"), _CANCEL)
 
 
 def _cannot_end(instruction: Instruction, instructions: Mapping[str, Instruction]) -> str:

@@ -91,17 +91,17 @@ class Plugins:
         except PluginError as error:
             self.problems.append(str(error))
             return
-        if (rival := self.by_driver.get(installed.name)) is not None:
-            raise _both(rival.reference, reference, f"the driver '{installed.name}'")
+        if (existing := self.by_driver.get(installed.name)) is not None:
+            raise _both(existing.reference, reference, f"the driver '{installed.name}'")
         for device_type in installed.manifests:
-            if (rival := self.for_type(device_type)) is not None:
-                raise _both(rival.reference, reference, f"the device type '{device_type}'")
+            if (existing := self.for_type(device_type)) is not None:
+                raise _both(existing.reference, reference, f"the device type '{device_type}'")
         self.by_driver[installed.name] = installed
 
 
-def _both(first: str, second: str, what: str) -> PluginError:
+def _both(first: str, second: str, subject: str) -> PluginError:
     return PluginError(
-        f"two installed plugins, {first} and {second}, both define {what}; uninstall one of them"
+        f"two installed plugins, {first} and {second}, both define {subject}; uninstall one of them"
     )
 
 

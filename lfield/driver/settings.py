@@ -33,9 +33,9 @@ class Setting(msgspec.Struct, frozen=True):
         return f"{self.name} is {self.present:.9g} and must be {self.wanted:.9g}"
 
 
-def is_same_value(one: float, other: float) -> bool:
+def is_same_value(first: float, second: float) -> bool:
     """Whether two values are equal to a device that stores 32-bit floats."""
-    return math.isclose(one, other, rel_tol=1e-6)
+    return math.isclose(first, second, rel_tol=1e-6)
 
 
 def mismatched(settings: Sequence[Setting]) -> list[Setting]:

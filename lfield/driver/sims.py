@@ -83,9 +83,9 @@ class Sims(dict[str, Sim]):
             self.problems.append(str(error))
             return
         if sim.name in self:
-            rival = self.references[sim.name]
+            first = self.references[sim.name]
             raise PluginError(
-                f"{rival} and {reference} are both the simulated device '{sim.name}'; uninstall one of them"
+                f"{first} and {reference} are both the simulated device '{sim.name}'; uninstall one of them"
             )
         self[sim.name], self.references[sim.name] = sim, reference
 

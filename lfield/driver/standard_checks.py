@@ -29,8 +29,8 @@ def endpoint_check(plugin: Plugin) -> Check:
     """
 
     async def check(bench: Bench) -> str:
-        if why := plugin.why_no_endpoint(bench.binding.endpoint):
-            raise CheckFailed(f"it is open, but its endpoint is refused: {why}")
+        if reason := plugin.why_no_endpoint(bench.binding.endpoint):
+            raise CheckFailed(f"it is open, but its endpoint is refused: {reason}")
         for text in NO_ENDPOINTS:
             if not plugin.why_no_endpoint(text):
                 raise CheckFailed(f"it accepts '{text}' as an endpoint")

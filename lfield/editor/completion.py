@@ -48,7 +48,7 @@ def completions(model: ProgramModel, path: Path, offset: int) -> list[Completion
     before = file.text[:offset]
     line = before.rpartition("\n")[2]
     if _INCLUDE.search(line):
-        return [CompletionProposal(one, "file") for one in model.environment.include_paths]
+        return [CompletionProposal(path_text, "file") for path_text in model.environment.include_paths]
     if "//" in line.replace('"//', ""):
         return []
     found = _NAME_END.search(line)
@@ -60,7 +60,10 @@ def completions(model: ProgramModel, path: Path, offset: int) -> list[Completion
         # The token before the position.
         cursor = _before(cursor, offset)
     symbols = TextSymbols(model)
-    proposals = {one.text: one for one in _proposals(symbols, cursor, before[: len(before) - len(typed)])}
+    proposals = {
+        proposal.text: proposal
+        for proposal in _proposals(symbols, cursor, before[: len(before) - len(typed)])
+    }
     return list(proposals.values())
 
 
@@ -95,15 +98,17 @@ def _proposals(symbols: TextSymbols, cursor: Cursor, before: str) -> Iterator[Co
 def _in_method(symbols: TextSymbols, cursor: Cursor) -> Iterator[CompletionProposal]:
     """Variables, own members, queries, library functions."""
     for local in cursor.locals().values():
-        made = symbols.local(local)
-        yield CompletionProposal(made.name, "local", f"{made.type} {made.name}")
+        variable = symbols.local(local)
+        yield CompletionProposal(variable.name, "local", f"{variable.type} {variable.name}")
     yield from map(_proposal, symbols.top_level.all())
     unit = symbols.unit(cursor)
     if unit is None:
         yield from _functions_of_library("global")
         return
     yield from (_proposal(symbols.of_field(unit, field)) for field in unit.named_fields)
-    yield from (_proposal(symbols.of_method(one)) for one in unit.methods if one.kind in ("method", "loop"))
+    yield from (
+        _proposal(symbols.of_method(method)) for method in unit.methods if method.kind in ("method", "loop")
+    )
     if unit.usage == "coordinator":
         yield from _queries(symbols)
     yield from _functions_of_library(unit.usage)
@@ -135,8 +140,10 @@ def _types(symbols: TextSymbols, *, classes_only: bool = False) -> Iterator[Comp
     yield from (CompletionProposal(name, "builtin") for name in BUILTIN_TYPES)
     if not classes_only:
         top_level = symbols.top_level
-        yield from (_proposal(one) for one in top_level.all() if one.kind == "enum")
-        yield from (CompletionProposal(name, "device", one.meaning) for name, one in program.devices.items())
+        yield from (_proposal(symbol) for symbol in top_level.all() if symbol.kind == "enum")
+        yield from (
+            CompletionProposal(name, "device", device.meaning) for name, device in program.devices.items()
+        )
 
 
 def _proposal(symbol: TextSymbol) -> CompletionProposal:

@@ -138,7 +138,7 @@ def cursor_at_token(part: ProgramPart, index: int) -> Cursor:
     """A token of a part with its unit and method."""
     start = part.tokens[index].span.start
     unit = next((one for one in reversed(part.file.units) if one.span.start <= start), None)
-    method = next((one for one in part.file.functions if _is_within(one, start)), None)
+    method = next((function for function in part.file.functions if _is_within(function, start)), None)
     if method is not None:
         return Cursor(part, index, None, method)
     for one in unit.methods if unit is not None else ():
@@ -232,8 +232,8 @@ def _behind_arguments(tokens: Sequence[Token], at: int) -> int:
 
 def _written_type(span: Span) -> TypeName:
     """A type with arguments, such as `map<string, int>[]`."""
-    quiet = Diagnostics()
+    discarded = Diagnostics()
     try:
-        return result_type(TokenStream(scan(Source("", span.text), quiet), quiet))
+        return result_type(TokenStream(scan(Source("", span.text), discarded), discarded))
     except (SyntaxRecovery, ParsingAborted):
         return TypeName(span, BAD_TYPE)

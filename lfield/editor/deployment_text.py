@@ -30,10 +30,10 @@ class DeploymentName:
 
 def deployment_entries(text: str) -> list[DeploymentEntry]:
     """The lines that can be read."""
-    source, quiet, start = Source("", text), Diagnostics(), 0
+    source, discarded, start = Source("", text), Diagnostics(), 0
     found = []
     for line in text.split("\n"):
-        entry = read_line(Span(source, start, start + len(line)), quiet)
+        entry = read_line(Span(source, start, start + len(line)), discarded)
         if entry is not None:
             found.append(entry)
         start += len(line) + 1
@@ -56,7 +56,7 @@ def names_in(text: str) -> Iterator[DeploymentName]:
 
 def name_at(text: str, offset: int) -> DeploymentName | None:
     """The name at an offset."""
-    return next((one for one in names_in(text) if one.span.start <= offset <= one.span.end), None)
+    return next((name for name in names_in(text) if name.span.start <= offset <= name.span.end), None)
 
 
 def deployment_findings(text: str, name: str, model: ProgramModel | None) -> list[Diagnostic]:
@@ -68,7 +68,7 @@ def deployment_findings(text: str, name: str, model: ProgramModel | None) -> lis
     deployment, found = parse_deployment(text, name, units)
     if deployment is not None and program is not None:
         in_program = argument_findings(program.units, deployment)
-        found = [*found, *(one for one in in_program if one.span.source.name == name)]
+        found = [*found, *(finding for finding in in_program if finding.span.source.name == name)]
     return found
 
 
@@ -76,13 +76,17 @@ def hover_of_name(name: DeploymentName, text: str) -> str:
     """The meaning of a host, an id or an argument; types are explained by the program."""
     entries = deployment_entries(text)
     if name.kind == "host":
-        agents = [f"`{one.id.text}` ({one.type.text})" for one in entries if _has_host(one, name.span.text)]
+        agents = [
+            f"`{entry.id.text}` ({entry.type.text})" for entry in entries if _has_host(entry, name.span.text)
+        ]
         return f"host `{name.span.text}`: {', '.join(agents) or 'a witness, without agents'}"
-    agent = next((one for one in entries if one.id.text == name.span.text and not one.is_witness), None)
+    agent = next(
+        (entry for entry in entries if entry.id.text == name.span.text and not entry.is_witness), None
+    )
     if agent is None:
         return ""
-    what = " ".join(filter(None, (agent.startable.text, agent.type.text)))
-    return f"agent `{agent.id.text}`: {what} on host `{agent.host.text}`"
+    head = " ".join(filter(None, (agent.startable.text, agent.type.text)))
+    return f"agent `{agent.id.text}`: {head} on host `{agent.host.text}`"
 
 
 def _has_host(entry: DeploymentEntry, host: str) -> bool:
@@ -94,11 +98,11 @@ def deployment_completions(text: str, offset: int, model: ProgramModel | None) -
     line = text[:offset].rpartition("\n")[2]
     entries = deployment_entries(text)
     if "?" in line:
-        ids = dict.fromkeys(one.id.text for one in entries if not one.is_witness)
-        return [CompletionProposal(one, "agent") for one in ids]
+        ids = dict.fromkeys(entry.id.text for entry in entries if not entry.is_witness)
+        return [CompletionProposal(id, "agent") for id in ids]
     if "@" in line:
         return [
-            CompletionProposal(one, "host") for one in dict.fromkeys(entry.host.text for entry in entries)
+            CompletionProposal(host, "host") for host in dict.fromkeys(entry.host.text for entry in entries)
         ]
     if ":" in line.removeprefix("pitp:") or model is None:
         return []

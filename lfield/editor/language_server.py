@@ -73,9 +73,9 @@ class _Symbols(list[_JsonObject]):
 
 def _converter() -> Any:
     """The converter of pygls, except for outlines."""
-    made: Any = default_converter()  # type: ignore[no-untyped-call]
-    made.register_unstructure_hook(_Symbols, lambda symbols: symbols)
-    return made
+    converter: Any = default_converter()  # type: ignore[no-untyped-call]
+    converter.register_unstructure_hook(_Symbols, lambda symbols: symbols)
+    return converter
 
 
 class _Protocol(LanguageServerProtocol):
@@ -184,7 +184,7 @@ class LfieldServer:
             self.server.text_document_publish_diagnostics(
                 types.PublishDiagnosticsParams(
                     uri,
-                    [_diagnostic(one, index) for one in findings],
+                    [_diagnostic(finding, index) for finding in findings],
                     version=None if document is None else document.version,
                 )
             )
@@ -225,14 +225,14 @@ class LfieldServer:
         found = self._workspace.complete(*self._place(params.text_document, params.position))
         items = [
             types.CompletionItem(
-                one.text,
-                kind=_COMPLETION_KINDS.get(one.kind, _COMPLETION.Text),
-                detail=one.detail or None,
-                documentation=types.MarkupContent(types.MarkupKind.Markdown, one.documentation)
-                if one.documentation
+                proposal.text,
+                kind=_COMPLETION_KINDS.get(proposal.kind, _COMPLETION.Text),
+                detail=proposal.detail or None,
+                documentation=types.MarkupContent(types.MarkupKind.Markdown, proposal.documentation)
+                if proposal.documentation
                 else None,
             )
-            for one in found
+            for proposal in found
         ]
         return types.CompletionList(is_incomplete=False, items=items)
 
@@ -279,7 +279,7 @@ class LfieldServer:
         """The outline of a text."""
         path = _path(params.text_document.uri)
         index = self._line_index(path)
-        return _Symbols(_document_symbol(one, index) for one in self._workspace.outline(path))
+        return _Symbols(_document_symbol(entry, index) for entry in self._workspace.outline(path))
 
 
 def _refuse(refusal: JsonRpcInvalidParams) -> None:
@@ -324,7 +324,7 @@ def _document_symbol(entry: OutlineEntry, index: LineIndex) -> _JsonObject:
         "kind": _OUTLINE_KINDS.get(entry.kind, types.SymbolKind.Method).value,
         "range": _json_range(index, entry.start, entry.end),
         "selectionRange": _json_range(index, entry.name_start, entry.name_end),
-        "children": [_document_symbol(one, index) for one in entry.children],
+        "children": [_document_symbol(child, index) for child in entry.children],
     }
 
 

@@ -108,12 +108,14 @@ class ProgramModel:
             found[path] = file = self.files.get(path) or ProgramFile(str(path))
             is_changed |= file.update(text)
             for part in file.parts:
-                for one in part.file.includes:
-                    if (target := self.included(one, path)) is not None:
-                        waiting.append((target, one))
+                for include in part.file.includes:
+                    if (target := self.included(include, path)) is not None:
+                        waiting.append((target, include))
                     else:
                         is_missing = True
-                        self._include_findings.append(messages.INCLUDE_UNKNOWN.at(one.span, path=one.path))
+                        self._include_findings.append(
+                            messages.INCLUDE_UNKNOWN.at(include.span, path=include.path)
+                        )
         is_changed |= found.keys() != self.files.keys()
         self.files, self._is_missing = found, is_missing
         return is_changed, is_missing or any(part.file.broken for part in self.parts())
@@ -159,12 +161,12 @@ class ProgramModel:
         parts = [*self._generated.parts, *self.parts()]
         owners = {part.source: part for part in parts}
         program = declare_program(self.symbols, [part.file for part in parts])
-        self._declared = [(owners[one.unit.span.source], one) for one in program.units]  # type: ignore[index]
-        self._functions = [(owners[one.head.span.source], one) for one in program.functions]  # type: ignore[index]
+        self._declared = [(owners[unit.unit.span.source], unit) for unit in program.units]  # type: ignore[index]
+        self._functions = [(owners[function.head.span.source], function) for function in program.functions]  # type: ignore[index]
         declarations = (
             is_incomplete,
             self._generated.names,
-            tuple(_fingerprint(one.unit) for one in program.units),
+            tuple(_fingerprint(unit.unit) for unit in program.units),
             _top_level(self.symbols),
             frozenset(self.symbols.broken_units),
         )
@@ -188,7 +190,7 @@ class ProgramModel:
         known = {*BUILTIN_TYPES, *self.environment.devices}
         unknown = unknown_names(files, known)
         requested = frozenset(unknown.intersection(self.capabilities.names()) if unknown else ())
-        units = tuple(_fingerprint(one.unit) for part, one in self._declared if not one.unit.capability)
+        units = tuple(_fingerprint(unit.unit) for part, unit in self._declared if not unit.unit.capability)
         key = (requested, units if requested else ())
         if key == self._generated.key:
             return False
@@ -204,18 +206,18 @@ class ProgramModel:
         self, requested: frozenset[str], files: list[ParsedFile], key: object
     ) -> _Generated:
         """The classes of some capabilities, and the files that they need besides."""
-        made = self.capabilities.generate(requested, files)
+        classes = self.capabilities.generate(requested, files)
         parts = [
             parse_part(source.name, source.text, PartPlace())
-            for source in (*made.common, *made.classes.values())
+            for source in (*classes.common, *classes.classes.values())
         ]
-        for path in made.files:
+        for path in classes.files:
             if path not in self.files and (text := self._read(path)) is not None:
                 file = ProgramFile(str(path))
                 file.update(text)
                 parts += file.parts
-        problems = list(self.capabilities.registry_problems(made.classes, files))
-        return _Generated(key, parts, frozenset(made.classes), problems)
+        problems = list(self.capabilities.registry_problems(classes.classes, files))
+        return _Generated(key, parts, frozenset(classes.classes), problems)
 
     # --- findings ---------------------------------------------------------------------------------------
 
@@ -259,7 +261,7 @@ class ProgramModel:
         """The program with all its bodies, for a check of its deployment; None if it has errors."""
         while self.step():
             pass
-        if any(one.severity == "error" for one in self.findings()):
+        if any(finding.severity == "error" for finding in self.findings()):
             return None
         if self._program is None:
             self._program = check_program(
@@ -285,7 +287,9 @@ def _fingerprint(unit: tree.Unit) -> tuple[object, ...]:
 
 def _top_level(symbols: Symbols) -> tuple[object, ...]:
     """The parts of constants, enums and functions that units depend on."""
-    constants = tuple((one.name, one.type, one.value) for one in symbols.constants.values())
-    enums = tuple((one.name, one.members) for one in symbols.enums.values())
-    heads = [one.head for functions in symbols.functions.values() for one in functions]
+    constants = tuple(
+        (constant.name, constant.type, constant.value) for constant in symbols.constants.values()
+    )
+    enums = tuple((enum.name, enum.members) for enum in symbols.enums.values())
+    heads = [function.head for functions in symbols.functions.values() for function in functions]
     return constants, enums, tuple((head.signature, head.result) for head in heads)

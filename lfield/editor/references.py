@@ -109,7 +109,11 @@ def _is_written(model: ProgramModel, symbol: TextSymbol, name: str) -> bool:
     """Whether a part that uses a constant, an enum or a function has the name: a member may hide it."""
     if symbol.kind == "unit":
         return False
-    using = (one for one in model.parts() if any(token.text == symbol.name for token in one.tokens))
+    using = (
+        source_token
+        for source_token in model.parts()
+        if any(token.text == symbol.name for token in source_token.tokens)
+    )
     return any(token.text == name for part in using for token in part.tokens)
 
 
@@ -123,7 +127,7 @@ def _refuse_conflict(model: ProgramModel, symbol: TextSymbol, name: str) -> None
         is_in_use = name in model.symbols.enums[symbol.owner].members
     elif symbol.kind == "local":
         part = next(
-            one for one in model.parts() if symbol.span is not None and one.source is symbol.span.source
+            part for part in model.parts() if symbol.span is not None and part.source is symbol.span.source
         )
         is_in_use = any(token.kind is TokenKind.NAME and token.text == name for token in part.tokens)
     else:
@@ -132,7 +136,7 @@ def _refuse_conflict(model: ProgramModel, symbol: TextSymbol, name: str) -> None
         is_in_use = name in members or any(
             token.text == name
             for part in model.parts()
-            if any(one.name == symbol.owner for one in part.file.units)
+            if any(unit.name == symbol.owner for unit in part.file.units)
             for token in part.tokens
         )
     if is_in_use:

@@ -79,7 +79,7 @@ def _constant_text(constant: tree.Constant) -> str:
 
 
 def _method_signature(method: tree.Method) -> str:
-    parameters = ", ".join(f"{one.type} {one.name}" for one in method.parameters)
+    parameters = ", ".join(f"{parameter.type} {parameter.name}" for parameter in method.parameters)
     if method.unit.function:
         return f"{method.result} {method.name}({parameters})"
     guarded = "synchronized " if method.synchronized else ""
@@ -95,18 +95,18 @@ def _method_signature(method: tree.Method) -> str:
 
 
 def _library_signature(function: LibraryFunction) -> str:
-    parameters = ", ".join(str(one) for one in function.parameters)
+    parameters = ", ".join(str(parameter) for parameter in function.parameters)
     return f"{function.result} {function.name}({parameters})"
 
 
 def _instruction_signature(instruction: Instruction, device: str) -> str:
-    parameters = ", ".join(f"{one.type} {one.name}" for one in instruction.parameters)
+    parameters = ", ".join(f"{parameter.type} {parameter.name}" for parameter in instruction.parameters)
     return f"{instruction.result} {device}.{instruction.name}({parameters})"
 
 
 def _instruction_text(instruction: Instruction) -> str:
     lines = [instruction.meaning] if instruction.meaning else []
-    lines += [f"- `{one.name}`{_unit_and_meaning(one)}" for one in instruction.parameters]
+    lines += [f"- `{parameter.name}`{_unit_and_meaning(parameter)}" for parameter in instruction.parameters]
     if instruction.unit:
         lines.append(f"- returns {instruction.unit}")
     waits = "; waits until it is done" if instruction.blocking else ""
@@ -120,7 +120,7 @@ def _unit_and_meaning(parameter: Parameter) -> str:
 
 
 def _device_text(device: DeviceManifest) -> str:
-    names = ", ".join(f"`{one.name}`" for one in device.instructions)
+    names = ", ".join(f"`{instruction.name}`" for instruction in device.instructions)
     states = f"\n\nSafe states: {', '.join(device.safe_states)}" if device.safe_states else ""
     return f"{device.meaning} (driver `{device.driver}`)\n\nInstructions: {names}{states}"
 

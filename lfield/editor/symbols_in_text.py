@@ -119,7 +119,7 @@ class TopLevelSymbols:
     def members(self, enum: tree.Enumeration) -> list[TextSymbol]:
         """The members of an enum, and its methods."""
         found = [self._member(enum, number) for number in range(len(enum.members))]
-        return [*found, *(_of_library(one.name, [one]) for one in ENUM_METHODS)]
+        return [*found, *(_of_library(method.name, [method]) for method in ENUM_METHODS)]
 
     def declared_at(self, span: Span) -> TextSymbol | None:
         """The symbol whose declaration has its name at a place."""
@@ -131,7 +131,7 @@ class TopLevelSymbols:
                 return self.named(enum.name)
             if span in enum.spans:
                 return self._member(enum, enum.spans.index(span))
-        heads = (one.head for functions in self._symbols.functions.values() for one in functions)
+        heads = (function.head for functions in self._symbols.functions.values() for function in functions)
         found = next((head for head in heads if head.span == span), None)
         return None if found is None else self._of_function(found)
 
@@ -166,7 +166,7 @@ class TextSymbols:
             return None
         if cursor.text(-1) == ".":
             return self._member(cursor)
-        return self._declared_here(cursor) or self._bare(cursor)
+        return self._declared_here(cursor) or self._unqualified(cursor)
 
     def _declared_here(self, cursor: Cursor) -> TextSymbol | None:
         """The symbol whose declaration has the name at the cursor."""
@@ -188,7 +188,7 @@ class TextSymbols:
         local = cursor.local_here()
         return None if local is None else self._of_local(local)
 
-    def _bare(self, cursor: Cursor) -> TextSymbol | None:
+    def _unqualified(self, cursor: Cursor) -> TextSymbol | None:
         """The symbol of a name without an owner."""
         name = cursor.token.text
         unit = self.unit(cursor)
@@ -250,8 +250,10 @@ class TextSymbols:
     def _member(self, cursor: Cursor) -> TextSymbol | None:
         """The symbol of a name after a dot."""
         name = cursor.token.text
-        candidates = [one for one in self.members(cursor) if one.name == name]
-        methods = [one.meaning for one in candidates if isinstance(one.meaning, tree.Method)]
+        candidates = [candidate for candidate in self.members(cursor) if candidate.name == name]
+        methods = [
+            candidate.meaning for candidate in candidates if isinstance(candidate.meaning, tree.Method)
+        ]
         if methods and cursor.text(1) == "(":
             return self.of_method(self._chosen(cursor, methods))
         return candidates[0] if candidates else None
@@ -264,10 +266,13 @@ class TextSymbols:
         kind = self.type_of(cursor, owner)
         unit = self.unit(cursor) if owner == "this" else self._symbols.unit_of(kind)
         if isinstance(kind, MapType):
-            return [_of_library(one.name, [one]) for one in LIBRARY_OF_MAPS]
+            return [_of_library(function.name, [function]) for function in LIBRARY_OF_MAPS]
         if isinstance(kind, FutureType):
-            names = dict.fromkeys(one.name for one in LIBRARY_OF_FUTURES)
-            return [_of_library(n, [one for one in LIBRARY_OF_FUTURES if one.name == n]) for n in names]
+            names = dict.fromkeys(function.name for function in LIBRARY_OF_FUTURES)
+            return [
+                _of_library(n, [function for function in LIBRARY_OF_FUTURES if function.name == n])
+                for n in names
+            ]
         if unit is not None:
             return list(self._unit_members(unit, kind, is_own=unit is self.unit(cursor)))
         match kind:
@@ -276,22 +281,22 @@ class TextSymbols:
                 return [
                     TextSymbol(
                         "instruction",
-                        one.name,
-                        ("instruction", kind.name, one.name),
+                        function.name,
+                        ("instruction", kind.name, function.name),
                         None,
-                        one,
+                        function,
                         owner=kind.name,
                     )
-                    for one in device.instructions
+                    for function in device.instructions
                 ]
             case ArrayType():
                 return [_of_library(name, _array_functions(kind, name)) for name in _array_names(kind)]
             case ClassType():
-                return [_of_library(one.name, [one]) for one in EXCEPTION_METHODS]
+                return [_of_library(method.name, [method]) for method in EXCEPTION_METHODS]
             case EnumType():
-                return [_of_library(one.name, [one]) for one in ENUM_VALUE_METHODS]
+                return [_of_library(method.name, [method]) for method in ENUM_VALUE_METHODS]
         functions = {"string": STRING_METHODS, LOOP.name: LOOP_METHODS}.get(kind.name, ())
-        return [_of_library(one.name, [one]) for one in functions]
+        return [_of_library(method.name, [method]) for method in functions]
 
     def _unit_members(self, unit: tree.Unit, kind: Type, *, is_own: bool) -> Iterator[TextSymbol]:
         is_proxy = isinstance(kind, ResourceType)
@@ -299,9 +304,9 @@ class TextSymbols:
             if method.kind == ("portal" if is_proxy else "method") and (method.public or is_own):
                 yield self.of_method(method)
         if is_proxy:
-            yield from (_of_library(one.name, [one]) for one in PROXY_METHODS)
+            yield from (_of_library(method.name, [method]) for method in PROXY_METHODS)
         else:
-            yield from (self.of_field(unit, one) for one in unit.named_fields if one.public or is_own)
+            yield from (self.of_field(unit, field) for field in unit.named_fields if field.public or is_own)
 
     def _chosen(self, cursor: Cursor, methods: Sequence[tree.Method]) -> tree.Method:
         """The overload that a call selects; the first one if that is not known."""
@@ -330,12 +335,12 @@ class TextSymbols:
             unit = function_unit(cursor.method.name, cursor.method.span)
         if unit is None or not text:
             return None
-        quiet = Diagnostics()
+        discarded = Diagnostics()
         try:
-            raw = expression(TokenStream(scan(Source("", text), quiet), quiet))
+            raw = expression(TokenStream(scan(Source("", text), discarded), discarded))
         except (SyntaxRecovery, ParsingAborted):
             return None
-        symbols = replace(self._symbols, found=quiet, _reported=set())
+        symbols = replace(self._symbols, found=discarded, _reported=set())
         known = {name: self.local(local) for name, local in cursor.locals().items()}
         span = unit.span
         method = tree.Method("", "method", unit, [], UNKNOWN, False, False, span, span)
@@ -379,8 +384,8 @@ def _of_library(name: str, functions: Sequence[LibraryFunction]) -> TextSymbol:
 
 def _array_functions(kind: ArrayType, name: str) -> list[LibraryFunction]:
     """The methods of arrays of that name."""
-    return [one for one in (*array_methods(kind), *library_of_array(kind)) if one.name == name]
+    return [function for function in (*array_methods(kind), *library_of_array(kind)) if function.name == name]
 
 
 def _array_names(kind: ArrayType) -> list[str]:
-    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *library_of_array(kind))))
+    return list(dict.fromkeys(function.name for function in (*array_methods(kind), *library_of_array(kind))))

@@ -91,13 +91,13 @@ class Workspace:
         self._texts.pop(path, None)
         self._stale.clear()
         self._check_again()
-        needed = {self._root(one) if one.suffix != DEPLOYMENT else _program(one) for one in self._texts}
+        needed = {self._root(file) if file.suffix != DEPLOYMENT else _program(file) for file in self._texts}
         self._forget([root for root in self._models if root not in needed])
-        shown = {*self._texts, *(one for model in self._models.values() for one in model.files)}
-        obsolete = [one for one in self._published if one not in shown]
-        for one in obsolete:
-            del self._published[one]
-        return {one: [] for one in obsolete}
+        used = {*self._texts, *(file for model in self._models.values() for file in model.files)}
+        obsolete = [file for file in self._published if file not in used]
+        for file in obsolete:
+            del self._published[file]
+        return {file: [] for file in obsolete}
 
     def _forget(self, roots: Iterable[Path]) -> None:
         for root in list(roots):
@@ -132,7 +132,7 @@ class Workspace:
             owner = path
             if path.with_suffix(DEPLOYMENT).name not in names:
                 programs = (path.parent / name for name in names if name.endswith(PROGRAM))
-                owner = next((one for one in programs if includes.search(self.text(one))), path)
+                owner = next((program for program in programs if includes.search(self.text(program))), path)
             self._roots[path] = owner
         return self._roots[path]
 
@@ -229,9 +229,9 @@ class Workspace:
             return []
         start = file_offsets(cursor.token.span)[0]
         for part in model.files[path].parts:
-            for one in part.file.includes:
-                first, last = file_offsets(one.span)
-                target = model.included(one, path)
+            for include in part.file.includes:
+                first, last = file_offsets(include.span)
+                target = model.included(include, path)
                 if first <= start <= last and target is not None:
                     return [TextPlace(target, 0, 0)]
         symbol = symbol_at(model, path, offset)
@@ -260,7 +260,9 @@ class Workspace:
         agents = [
             e.id.text for e in deployment_text.deployment_entries(deployment) if e.type.text == symbol.owner
         ]
-        spans = (span for one in agents for span in deployment_text.device_keys(text or "", one, symbol.name))
+        spans = (
+            span for agent in agents for span in deployment_text.device_keys(text or "", agent, symbol.name)
+        )
         return [TextPlace(devices, span.start, span.end) for span in spans]
 
     def _agents(self, program: Path, kind: deployment_text.NameKind, name: str) -> list[TextPlace]:
@@ -268,9 +270,9 @@ class Workspace:
         path = program.with_suffix(DEPLOYMENT)
         names = deployment_text.names_in(self.text(path))
         return [
-            TextPlace(path, one.span.start, one.span.end)
-            for one in names
-            if (one.kind, one.span.text) == (kind, name)
+            TextPlace(path, entry.span.start, entry.span.end)
+            for entry in names
+            if (entry.kind, entry.span.text) == (kind, name)
         ]
 
     def _type_in_deployment(

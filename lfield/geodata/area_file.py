@@ -54,8 +54,11 @@ def check_shape(shape: Shape, request: PlanRequest) -> PlanReport:
     closed = [*points, *points[:1]] if is_area else points
     home = None if request.home is None else request.home[:2]
     distances = [] if home is None else [math.hypot(*LocalPlane(*home).point(each)) for each in corners]
-    farthest = max(((far, number) for number, far in enumerate(distances, 1)), default=None)
-    findings = [*shape_findings(shape), *_beyond(shape, distances, request.limits.get("radius", math.inf))]
+    farthest = max(((distance, number) for number, distance in enumerate(distances, 1)), default=None)
+    findings = [
+        *shape_findings(shape),
+        *_radius_findings(shape, distances, request.limits.get("radius", math.inf)),
+    ]
     return PlanReport(
         tuple(findings),
         length=length(closed),
@@ -67,10 +70,9 @@ def check_shape(shape: Shape, request: PlanRequest) -> PlanReport:
     )
 
 
-def _beyond(shape: Shape, distances: list[float], radius: float) -> Iterator[FileFinding]:
-    for number, far in enumerate(distances, 1):
-        if far > radius:
-            text = (
-                f"corner {number} of {shape.label} is {far:.1f} m from home, beyond the limit of {radius:g} m"
-            )
+def _radius_findings(shape: Shape, distances: list[float], radius: float) -> Iterator[FileFinding]:
+    for number, distance in enumerate(distances, 1):
+        if distance > radius:
+            corner = f"corner {number} of {shape.label}"
+            text = f"{corner} is {distance:.1f} m from home, beyond the limit of {radius:g} m"
             yield FileFinding("M207", text, number)

@@ -80,8 +80,8 @@ class _Reader(msgspec.Struct):
                 yield from self._geometry(each, name, depth + 1)
             return
         if kind not in _GEOMETRIES:
-            what = f"'{kind[:40]}'" if isinstance(kind, str) else "an object without a type"
-            raise self._error(f"{what} is not a geometry")
+            description = f"'{kind[:40]}'" if isinstance(kind, str) else "an object without a type"
+            raise self._error(f"{description} is not a geometry")
         parts = tree.get("coordinates")
         for part in self._array(parts) if kind.startswith("Multi") else [parts]:
             yield self._shape(kind.removeprefix("Multi"), name, part)

@@ -118,11 +118,11 @@ def crossing_edges(corners: Sequence[Point]) -> tuple[int, int] | None:
     return None
 
 
-def _conflict(one: int, other: int, count: int, ends: Sequence[tuple[Point, Point]]) -> bool:
-    (a, b), (c, d) = ends[one], ends[other]
-    if (one + 1) % count == other:
+def _conflict(first: int, second: int, count: int, ends: Sequence[tuple[Point, Point]]) -> bool:
+    (a, b), (c, d) = ends[first], ends[second]
+    if (first + 1) % count == second:
         return _leads_back(a, b, d)
-    if (other + 1) % count == one:
+    if (second + 1) % count == first:
         return _leads_back(c, d, b)
     return _intersect(a, b, c, d)
 

@@ -96,8 +96,8 @@ def shape_findings(shape: Shape) -> list[FileFinding]:
 def _position_findings(shape: Shape) -> list[FileFinding]:
     if any(abs(latitude) > POLAR for latitude, _ in shape.corners) or _encircles_pole(shape):
         return [FileFinding("M204", f"{shape.label} is at a pole")]
-    ways = zip(shape.corners, [*shape.corners[1:], *shape.corners[:1]], strict=True)
-    for number, (start, end) in enumerate(ways, 1):
+    edges = zip(shape.corners, [*shape.corners[1:], *shape.corners[:1]], strict=True)
+    for number, (start, end) in enumerate(edges, 1):
         closes = number == len(shape.corners)
         if abs(end[1] - start[1]) > 180.0 and not (closes and shape.kind == "line"):
             text = f"{shape.label} crosses the antimeridian after corner {number}"
@@ -110,8 +110,8 @@ def _encircles_pole(shape: Shape) -> bool:
     if shape.kind != "polygon" or len(shape.corners) < 3:
         return False
     longitudes = [longitude for _, longitude in shape.corners]
-    ways = zip(longitudes, [*longitudes[1:], *longitudes[:1]], strict=True)
-    return abs(sum(math.remainder(end - start, 360.0) for start, end in ways)) > 180.0
+    edges = zip(longitudes, [*longitudes[1:], *longitudes[:1]], strict=True)
+    return abs(sum(math.remainder(end - start, 360.0) for start, end in edges)) > 180.0
 
 
 def _polygon_findings(shape: Shape, *, is_flat: bool) -> list[FileFinding]:
@@ -128,8 +128,8 @@ def _polygon_findings(shape: Shape, *, is_flat: bool) -> list[FileFinding]:
         return [*findings, FileFinding("M209", text)]
     points = plane_of(shape.corners).points(shape.corners)
     if (crossing := crossing_edges(points)) is not None:
-        one, other = (each + 1 for each in crossing)
-        text = f"{shape.label} crosses itself: the edges after corner {one} and after corner {other}"
+        first, second = (each + 1 for each in crossing)
+        text = f"{shape.label} crosses itself: the edges after corner {first} and after corner {second}"
         findings.append(FileFinding("M202", text))
     elif area(points) < LEAST_AREA:
         findings.append(FileFinding("M206", f"{shape.label} has no extent: its corners are on one line"))
@@ -138,7 +138,9 @@ def _polygon_findings(shape: Shape, *, is_flat: bool) -> list[FileFinding]:
 
 def _repeated_corner(corners: Sequence[Position]) -> int | None:
     """The number of the first corner that equals the next one, from 1."""
-    return next((number for number, (one, two) in enumerate(pairwise(corners), 1) if one == two), None)
+    return next(
+        (number for number, (first, second) in enumerate(pairwise(corners), 1) if first == second), None
+    )
 
 
 def _points(shape: Shape) -> str:

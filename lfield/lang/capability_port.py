@@ -128,9 +128,9 @@ def is_portal(method: tree.Method) -> bool:
 def parse_query_name(name: str) -> tuple[Verb, str] | None:
     """The verb and the name of the capability, if `name` may be that of a query: `findLift`."""
     for verb in VERBS:
-        asked = name.removeprefix(verb)
-        if asked != name and asked[:1].isupper():
-            return verb, asked
+        capability = name.removeprefix(verb)
+        if capability != name and capability[:1].isupper():
+            return verb, capability
     return None
 
 
@@ -141,6 +141,6 @@ def unknown_names(files: Sequence[syntax.ParsedFile], known: Collection[str]) ->
     methods.update(function.name for file in files for function in file.functions)
     enums = {enum.name for file in files for enum in file.enums}
     named = {name for file in files for name in file.types}
-    asked = (parse_query_name(name) for file in files for name in file.called - methods)
-    named.update(query[1] for query in asked if query is not None)
+    queries = (parse_query_name(name) for file in files for name in file.called - methods)
+    named.update(query[1] for query in queries if query is not None)
     return named - {unit.name for unit in units} - enums - set(known)

@@ -45,7 +45,7 @@ def check_hosts(entries: Sequence[DeploymentEntry], inventory: Collection[str], 
             found.add(messages.LONE_HOST.at(entry.host, host=host, close=close, line=lines[close]))
         elif is_relevant:
             known = sorted(inventory)
-            hint = did_you_mean(host, known) or f"hosts with keys: {_some(known)}"
+            hint = did_you_mean(host, known) or f"hosts with keys: {_sample_text(known)}"
             reason = f"it has no keys, and no other line names it; 'lfield keys host {host}' makes its keys"
             found.add(messages.UNKNOWN_HOST.at(entry.host, hint=hint, host=host, reason=reason))
     if not inventory and len(lone) == 1 and len(repeated) >= _FEWEST_OTHERS:
@@ -60,12 +60,12 @@ def _check_only_lone(
     has_peers = any(each.type.text == entry.type.text for each in entries if each is not entry)
     is_compared = any(_resembles(host, other) for other in others)
     if has_peers and not (entry.is_witness or is_address(host) or is_compared):
-        hint = did_you_mean(host, others) or f"the other hosts are {_some(others)}"
+        hint = did_you_mean(host, others) or f"the other hosts are {_sample_text(others)}"
         reason = "it occurs on this line only, and each other host on several"
         found.add(messages.UNKNOWN_HOST.at(entry.host, hint=hint, host=host, reason=reason))
 
 
-def _some(names: Sequence[str]) -> str:
+def _sample_text(names: Sequence[str]) -> str:
     """The first names of a list, for a hint."""
     if len(names) <= MAX_LISTED:
         return listed(names)
@@ -101,10 +101,10 @@ def _resembles(host: str, other: str) -> bool:
     return transposed or rest[1:] == known_rest or rest == known_rest[1:]
 
 
-def _are_neighbours(one: str, two: str) -> bool:
+def _are_neighbours(first: str, second: str) -> bool:
     """Whether the keys of two characters touch, each row being half a key to the right of that above."""
     places = {key: (row, at) for row, keys in enumerate(_KEY_ROWS) for at, key in enumerate(keys)}
-    if one not in places or two not in places:
+    if first not in places or second not in places:
         return False
-    (row, at), (other_row, other_at) = sorted((places[one], places[two]))
+    (row, at), (other_row, other_at) = sorted((places[first], places[second]))
     return abs(at - other_at) == 1 if row == other_row else other_row == row + 1 and at - other_at in (0, 1)

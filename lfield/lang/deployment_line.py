@@ -185,13 +185,13 @@ class _Reader:
 
     def argument(self, span: Span) -> str:
         """One argument, decoded."""
-        bad = _ESCAPE.search(span.text)
+        bad_escape = _ESCAPE.search(span.text)
         try:
-            if bad is None:
+            if bad_escape is None:
                 return unquote_to_bytes(span.text).decode("utf-8")
         except UnicodeError:
             pass
-        where = span if bad is None else _part(span, bad.start(), bad.end())
+        where = span if bad_escape is None else _part(span, bad_escape.start(), bad_escape.end())
         self.report(messages.DEPLOY_ESCAPE, where, escape=where.text)
         return ""
 

@@ -90,21 +90,21 @@ def _checked(
     devices: Mapping[str, DeviceManifest],
     capabilities: CapabilityTypes | None,
 ) -> CheckResult:
-    made = _generated(files, devices, capabilities) if capabilities is not None else GeneratedClasses({})
-    if made.classes and capabilities is not None and not found.errors:
-        for diagnostic in capabilities.registry_problems(made.classes, files.files):
+    classes = _generated(files, devices, capabilities) if capabilities is not None else GeneratedClasses({})
+    if classes.classes and capabilities is not None and not found.errors:
+        for diagnostic in capabilities.registry_problems(classes.classes, files.files):
             found.add(diagnostic)
         if found.errors:
             # Every call of a wrong portal would repeat the finding.
             return CheckResult(None, found.in_order())
-    generated = [parse_file(source, found) for source in (*made.common, *made.classes.values())]
+    generated = [parse_file(source, found) for source in (*classes.common, *classes.classes.values())]
     program = check_program(
         [*generated, *files.files],
         devices,
         found,
         complete=files.complete,
         capabilities=capabilities,
-        generated=frozenset(made.classes),
+        generated=frozenset(classes.classes),
     )
     return CheckResult(None if found.errors else program, found.in_order())
 
@@ -128,13 +128,13 @@ def _generated(
     """The classes of all capabilities that the files name; the files these bring along are read too."""
     known = {*BUILTIN_TYPES, *devices}
     requested: set[str] = set()
-    made = GeneratedClasses({})
+    classes = GeneratedClasses({})
     while unknown := unknown_names(files.files, {*known, *requested}):
         new = unknown.intersection(capabilities.names())
         if not new:
             break
         requested |= new
-        made = capabilities.generate(requested, files.files)
-        for path in made.files:
+        classes = capabilities.generate(requested, files.files)
+        for path in classes.files:
             files.read(read_bytes(path, MAX_TEXT), path)
-    return made
+    return classes

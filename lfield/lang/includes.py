@@ -59,9 +59,9 @@ class FileSet:
             self._missing(messages.INCLUDE_MISSING.at(include.span, path=path))
             return []
         except (OSError, ValueError) as error:
-            shown = f"'{path}'"
+            quoted = f"'{path}'"
             self._missing(
-                messages.INCLUDE_UNREADABLE.at(include.span, path=shown, reason=error_reason(error))
+                messages.INCLUDE_UNREADABLE.at(include.span, path=quoted, reason=error_reason(error))
             )
             return []
         return [] if source is None else [(source, path)]

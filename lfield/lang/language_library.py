@@ -298,17 +298,21 @@ def library_of_array(array: ArrayType) -> tuple[LibraryFunction, ...]:
 
 def array_methods(array: ArrayType) -> tuple[LibraryFunction, ...]:
     """The methods of an array that are instructions; the others are in ARRAY_LIBRARY."""
-    of = array.element
+    element = array.element
     return (
         LibraryFunction("length", (), INT, ARRAY_LENGTH, meaning="number of elements"),
-        LibraryFunction("append", (of,), VOID, "append", meaning="adds an element at the end"),
+        LibraryFunction("append", (element,), VOID, "append", meaning="adds an element at the end"),
         LibraryFunction(
-            "insert", (INT, of), VOID, "insert", meaning="adds an element before this index; IndexException"
+            "insert",
+            (INT, element),
+            VOID,
+            "insert",
+            meaning="adds an element before this index; IndexException",
         ),
         LibraryFunction(
-            "remove", (INT,), of, "remove", meaning="removes and returns the element; IndexException"
+            "remove", (INT,), element, "remove", meaning="removes and returns the element; IndexException"
         ),
         LibraryFunction(
-            "pop", (), of, "remove_last", meaning="removes and returns the last element; IndexException"
+            "pop", (), element, "remove_last", meaning="removes and returns the last element; IndexException"
         ),
     )

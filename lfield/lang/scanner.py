@@ -172,7 +172,10 @@ class _Scanner:
             case _:
                 where = self.span(span.start, span.start + 1) if group == "hash" else span
                 self.error(
-                    messages.ILLEGAL_CHARACTER, where, hint=_character_hint(text), character=_shown(text[0])
+                    messages.ILLEGAL_CHARACTER,
+                    where,
+                    hint=_character_hint(text),
+                    character=_character_text(text[0]),
                 )
 
     def decoded(self, text: str, span: Span) -> str:
@@ -203,7 +206,7 @@ class _Scanner:
         return Span(self.source, start, end)
 
 
-def _shown(character: str) -> str:
+def _character_text(character: str) -> str:
     """A character for a message: itself with its number, or only the number when it cannot be seen."""
     number = f"U+{ord(character):04X}"
     return f"'{character}' ({number})" if character.isprintable() and not character.isspace() else number

@@ -104,28 +104,28 @@ class Unit(Struct, eq=False):
     _fields: dict[str, Field] = field(default_factory=dict)
     _methods: dict[tuple[str, MethodKind], list[Method]] = field(default_factory=dict)
 
-    def add_field(self, made: Field) -> None:
+    def add_field(self, field: Field) -> None:
         """Add a field whose name no other one has."""
-        self.fields.append(made)
-        self._fields[made.name] = made
+        self.fields.append(field)
+        self._fields[field.name] = field
 
-    def add_method(self, made: Method) -> None:
-        self.methods.append(made)
-        self._methods.setdefault((made.name, made.kind), []).append(made)
+    def add_method(self, method: Method) -> None:
+        self.methods.append(method)
+        self._methods.setdefault((method.name, method.kind), []).append(method)
 
-    def add_library_method(self, made: Method) -> None:
+    def add_library_method(self, method: Method) -> None:
         """Add a method of the library for arrays, which has no name in L."""
-        self.library_methods.append(made)
+        self.library_methods.append(method)
 
     def add_hidden_field(self, name: str, kind: Type, span: Span) -> Field:
         """Add a field that a program cannot name: its name is not one of L."""
-        made = Field(name, kind, len(self.fields), public=False, span=span)
-        self.fields.append(made)
-        return made
+        field = Field(name, kind, len(self.fields), public=False, span=span)
+        self.fields.append(field)
+        return field
 
-    def add_loop(self, made: ResourceLoop) -> None:
+    def add_loop(self, loop: ResourceLoop) -> None:
         """Add a loop; those with the highest priority come first."""
-        self.loops.append(made)
+        self.loops.append(loop)
         self.loops.sort(key=lambda loop: -math.inf if loop.priority is None else loop.priority, reverse=True)
         self.library_methods = [
             *(method for method in self.library_methods if method.kind != "ticks"),

@@ -69,9 +69,9 @@ def chain_operands(expr: tree.Logical) -> list[tree.Expr]:
     return [node, *reversed(found)]
 
 
-def else_if(one: tree.If) -> tree.If | None:
+def else_if(stmt: tree.If) -> tree.If | None:
     """The `else if` of an `if`."""
-    match one.otherwise:
+    match stmt.otherwise:
         case [tree.If() as following]:
             return following
     return None
@@ -111,37 +111,37 @@ def subexpressions(expr: tree.Expr) -> list[tree.Expr]:
     return []
 
 
-def statement_expressions(one: tree.Stmt) -> list[tree.Expr]:
+def statement_expressions(stmt: tree.Stmt) -> list[tree.Expr]:
     """The expressions directly in a statement, outside of the bodies it has."""
-    match one:
+    match stmt:
         case tree.Evaluate() | tree.Throw():
-            return [one.value]
+            return [stmt.value]
         case tree.Declare(value=tree.Expr() as value) | tree.Return(value=tree.Expr() as value):
             return [value]
         case tree.If() | tree.Loop():
-            return [one.condition]
+            return [stmt.condition]
         case tree.Within():
-            return [one.seconds]
+            return [stmt.seconds]
         case tree.WaitUntil():
-            return [one.condition] if one.seconds is None else [one.seconds, one.condition]
+            return [stmt.condition] if stmt.seconds is None else [stmt.seconds, stmt.condition]
         case tree.Reserve():
-            return [one.target]
+            return [stmt.target]
         case tree.StartCall():
-            return [one.call] if one.target is None else [one.call, one.target]
+            return [stmt.call] if stmt.target is None else [stmt.call, stmt.target]
     return []
 
 
-def nested_bodies(one: tree.Stmt) -> list[list[tree.Stmt]]:
+def nested_bodies(stmt: tree.Stmt) -> list[list[tree.Stmt]]:
     """The bodies directly in a statement; those of its `catch` clauses are among them."""
-    match one:
+    match stmt:
         case tree.BlockStmt() | tree.Together() | tree.Within() | tree.Reserve():
-            return [one.body]
+            return [stmt.body]
         case tree.If():
-            return [one.then, one.otherwise]
+            return [stmt.then, stmt.otherwise]
         case tree.Loop():
-            return [one.body, one.step]
+            return [stmt.body, stmt.step]
         case tree.Try():
-            return [one.body, *(clause.body for clause in one.catches), one.last or []]
+            return [stmt.body, *(clause.body for clause in stmt.catches), stmt.last or []]
     return []
 
 
@@ -149,9 +149,9 @@ def all_statements(body: Sequence[tree.Stmt]) -> Iterator[tree.Stmt]:
     """All statements of a body, those inside others too."""
     waiting = list(body)
     while waiting:
-        one = waiting.pop()
-        yield one
-        for inner in nested_bodies(one):
+        stmt = waiting.pop()
+        yield stmt
+        for inner in nested_bodies(stmt):
             waiting += inner
 
 
@@ -159,6 +159,6 @@ def descendants(expr: tree.Expr) -> Iterator[tree.Expr]:
     """An expression and all expressions inside it."""
     waiting = [expr]
     while waiting:
-        one = waiting.pop()
-        yield one
-        waiting += subexpressions(one)
+        part = waiting.pop()
+        yield part
+        waiting += subexpressions(part)

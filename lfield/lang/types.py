@@ -110,16 +110,16 @@ def is_reference(kind: Type) -> bool:
     return kind not in (BOOLEAN, INT, REAL, VOID) and not isinstance(kind, EnumType)
 
 
-def distance(given: Type, expected: Type) -> int | None:
+def distance(actual: Type, expected: Type) -> int | None:
     """The distance from a class to a base class: 0 for itself; None if it is not a base class.
 
     Every class is a kind of `Exception`, since its objects can be thrown.
     """
     steps = 0
-    while given != expected:
-        if not isinstance(given, ClassType) or given == EXCEPTION:
+    while actual != expected:
+        if not isinstance(actual, ClassType) or actual == EXCEPTION:
             return None
-        given = ClassType(BUILTIN_EXCEPTIONS.get(given.name, EXCEPTION.name))
+        actual = ClassType(BUILTIN_EXCEPTIONS.get(actual.name, EXCEPTION.name))
         steps += 1
     return steps
 

@@ -111,7 +111,7 @@ class GoldenWorld:
         if not holder:
             number += 1
         self.reserved[resource.id] = number, agent.id
-        self.machine.agents[resource.id].mark_reserved(on=True)
+        self.machine.agents[resource.id].mark_reserved(is_reserved=True)
         return number
 
     def release_reservations(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
@@ -119,7 +119,7 @@ class GoldenWorld:
         for resource, number in held:
             if self.reserved.get(resource.id) == (number, agent.id):
                 self.reserved[resource.id] = number, ""
-                self.machine.agents[resource.id].mark_reserved(on=False)
+                self.machine.agents[resource.id].mark_reserved(is_reserved=False)
 
     def may_serve(self, agent: Agent, resource: TeamMember, number: int) -> bool:
         """Whether the caller is the holder by its last number, or the resource is free."""

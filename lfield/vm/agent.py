@@ -42,13 +42,13 @@ class TeamMember(Struct, frozen=True):
 class MachineTeam(Struct, frozen=True):
     """The team as seen by one host.
 
-    `members` are all agents of the deployment in order, `here` the number of the host, `incarnation` this run
-    of the host. Coordinators in `fenced` may be recovered elsewhere: their portal calls need the host's
+    `members` are all agents of the deployment in order, `own_host` the number of the host, `incarnation` this
+    run of the host. Coordinators in `fenced` may be recovered elsewhere: their portal calls need the host's
     permission.
     """
 
     members: Sequence[TeamMember]
-    here: int
+    own_host: int
     incarnation: int
     fenced: Collection[str] = ()
 
@@ -289,9 +289,9 @@ class Agent:
         """Count a portal that has ended."""
         self.served += 1
 
-    def mark_reserved(self, *, on: bool) -> None:
+    def mark_reserved(self, *, is_reserved: bool) -> None:
         """Set whether a coordinator has reserved the resource."""
-        self.reserved = on
+        self.reserved = is_reserved
 
     def drain_fetched(self) -> list[tuple[str, int, int]]:
         """Remove and return the calls whose results the coordinator has fetched here."""

@@ -38,8 +38,8 @@ class InputReaders(Protocol):
 class Cancellation:
     """The cancelled calls of one host, per serving thread (`Agent.pending_cancels`)."""
 
-    def __init__(self, scheduler: Scheduler, given: InputReaders) -> None:
-        self._scheduler, self._input = scheduler, given
+    def __init__(self, scheduler: Scheduler, input_readers: InputReaders) -> None:
+        self._scheduler, self._input = scheduler, input_readers
 
     def cancel_call(self, resource: Agent, number: int, reason: str) -> None:
         """Cancel a portal call by its number, if a thread still serves it; at once if this thread waits.

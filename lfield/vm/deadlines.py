@@ -100,13 +100,13 @@ class Deadlines:
         self._arm(agent, max(1, end))
         return max(1, end)
 
-    def on_arrival(self, agent: Agent, why: str) -> None:
-        """A coordinator has arrived with its limits; `why` is the reason of a delay, if any."""
+    def on_arrival(self, agent: Agent, reason: str) -> None:
+        """A coordinator has arrived with its limits; `reason` explains a delay, if any."""
         if not self._scheduler.program.has_limits:
             return
         if ends := [agent.block.w[word] for word, _ in self._enclosing_limits(agent)]:
             if min(ends) <= self._scheduler.clock_of(agent):
-                agent.explain_lateness(why)
+                agent.explain_lateness(reason)
             self._arm(agent, min(ends))
 
     def seconds_left(self, agent: Agent) -> float | None:
@@ -129,7 +129,7 @@ class Deadlines:
             f": the transfer to {self._scheduler.world.host_of(resource)} takes {transit:.1f} s"
         )
 
-    def expire(self, agent: Agent, why: str = "") -> bool:
+    def expire(self, agent: Agent, reason: str = "") -> bool:
         """Throw in a running or resumed coordinator if its limit has expired; otherwise return false."""
         due = self._due(agent)
         if not due and any(self._is_expired(agent, word) for word, _ in self._enclosing_limits(agent)):
@@ -137,9 +137,9 @@ class Deadlines:
         else:
             agent.clear_overdue()
         if due:
-            if why:
+            if reason:
                 agent.explain_lateness()
-            self._throw(agent, only_thread(agent.block), due, f": {why}" if why else "")
+            self._throw(agent, only_thread(agent.block), due, f": {reason}" if reason else "")
         return bool(due)
 
     def stop(self, agent: Agent, word: int, reason: str) -> None:
@@ -283,12 +283,12 @@ class Deadlines:
         record = w[layout.W_THREADS]
         thread, state = w[record + THREAD_ID], w[record + THREAD_STATE]
         if agent.frozen:
-            what = self._calls.blocked_action(agent) + agent.unreachable_reason
+            reason = self._calls.blocked_action(agent) + agent.unreachable_reason
             if not agent.unreachable_reason and not scheduler.world.abandon_wait(agent):
                 agent.mark_overdue(self._calls.wait_reason(agent))
                 return
             agent.resume()
-            self._throw(agent, thread, due, what)
+            self._throw(agent, thread, due, reason)
         elif state == CALLING and (number := portal_calls.call_number(scheduler, agent)):
             self._cancel(agent, number, due)
         elif state == CALLING:
@@ -307,13 +307,13 @@ class Deadlines:
                 self._cancelling.cancel_call(resource, number, f"the time limit of {agent.id} is over")
                 return
 
-    def _throw(self, agent: Agent, thread: int, due: list[int], what: str) -> None:
+    def _throw(self, agent: Agent, thread: int, due: list[int], detail: str) -> None:
         late = self._seconds_since(agent, self._mark_expired(agent, due))
         text = f", {late:.1f} s late" if late else ""
         reason = agent.explain_lateness()
         text += f" since {reason}" if late and reason else ""
         head = agent.stop_reason or "the time is over"
-        self._scheduler.throw_builtin(agent, thread, TIME_LIMIT, f"{head}{text}{what}", agent.id)
+        self._scheduler.throw_builtin(agent, thread, TIME_LIMIT, f"{head}{text}{detail}", agent.id)
 
     def _mark_expired(self, agent: Agent, due: list[int]) -> int:
         """Mark limits as expired: their ends become negative. Returns the last end, in ns."""
@@ -325,12 +325,12 @@ class Deadlines:
 
     def schedule_cancel(self, agent: Agent, resource: Agent, pending: PendingCall) -> None:
         """Cancel a pending call here when its caller's limit expires."""
-        left = self.seconds_left(agent)
-        if left is not None:
+        remaining = self.seconds_left(agent)
+        if remaining is not None:
             reason = f"the time limit of {agent.id} is over"
-            pending.deadline = self._scheduler.clock_of(agent) + int(left * 1e9)
+            pending.deadline = self._scheduler.clock_of(agent) + int(remaining * 1e9)
             ring = partial(self._cancel_call, resource, pending, reason)
-            self._scheduler.run_queue.set_alarm(resource, max(0.0, left), ring)
+            self._scheduler.run_queue.set_alarm(resource, max(0.0, remaining), ring)
 
     def _cancel_call(self, resource: Agent, pending: PendingCall, reason: str) -> None:
         pending.is_expired = pending.state == "running"

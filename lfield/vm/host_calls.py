@@ -56,7 +56,7 @@ class HostCallDispatcher:
         held: HeldReservations,
         blocks: Mapping[str, Handler],
     ) -> None:
-        self._scheduler, self._team, self._here, self._rng = scheduler, view.members, view.here, rng
+        self._scheduler, self._team, self._own_host, self._rng = scheduler, view.members, view.own_host, rng
         self._cancellation, self._deadlines, self._held_reservations = cancelling, limits, held
         self._has_reserves = scheduler.program.has_reserves
         self._shapes = OfferClasses(scheduler.program)
@@ -126,7 +126,7 @@ class HostCallDispatcher:
         verb, _, kind = name.partition("_")
 
         def output(agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-            text = _shown(agent, kind, words[0])
+            text = _printed_text(agent, kind, words[0])
             if verb == "print":
                 self._scheduler.world.log(agent, text)
             else:
@@ -224,7 +224,7 @@ class HostCallDispatcher:
 
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         member = self._team[agent.block.w[words[0] + PROXY_MEMBER]]
-        if member.host == self._here:
+        if member.host == self._own_host:
             number = self._held_reservations.reservation_number(agent, member) if self._has_reserves else 0
             portal_calls.call(self._scheduler, member, agent, thread, operand, words, number)
             return
@@ -253,11 +253,11 @@ class HostCallDispatcher:
         scheduler = self._scheduler
         name = scheduler.program.core.classes[operand].name
         numbers = self._by_type.get(name, {}).values()
-        of = next(
+        proxy_type = next(
             i for i, t in enumerate(scheduler.program.core.types) if t.kind == PROXY and t.of == operand
         )
         core = scheduler.program.core
-        kind = core.created_arrays()[of]
+        kind = core.created_arrays()[proxy_type]
 
         def work() -> int:
             block = agent.block
@@ -373,7 +373,7 @@ def _proxy(agent: Agent, record: int, number: int) -> int:
     return place
 
 
-def _shown(agent: Agent, kind: str, word: int) -> str:
+def _printed_text(agent: Agent, kind: str, word: int) -> str:
     """A value as `write` and `print` show it."""
     if kind == "str":
         return agent.block.string(word)

@@ -87,7 +87,7 @@ class Machine:
         hooks: VmHooks | None = None,
     ) -> None:
         self.program, self.team, self.hooks = program, view.members, hooks or VmHooks()
-        self._here, self._fenced, self._now = view.here, view.fenced, clock.monotonic
+        self._own_host, self._fenced, self._now = view.own_host, view.fenced, clock.monotonic
         self._limit = self.hooks.run_limit or RunLimit(clock.monotonic)
         incarnation = 1 + view.incarnation % (layout.START_LIMIT - 1)
         self._scheduler = scheduler = Scheduler(
@@ -107,13 +107,13 @@ class Machine:
         calls = self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
         self.person_portals = PersonPortals(scheduler, cancelling)
         self.held_reservations = held = HeldReservations(program, view.members)
-        self.itinerary = Itinerary(scheduler, view.members, view.here, held)
+        self.itinerary = Itinerary(scheduler, view.members, view.own_host, held)
         limits = self._deadlines = Deadlines(scheduler, cancelling, self.itinerary, calls.stop_waiting)
         self._together = TogetherHandlers(scheduler, self.itinerary, held, cancelling, limits)
         parts = (
             *(self.operator_input, MonitorWaits(scheduler), LoopTicks(scheduler, cancelling)),
-            *(self._together, ReserveHandlers(scheduler, held, view.here, limits)),
-            SequencingHandlers(scheduler, view.members, view.here, limits),
+            *(self._together, ReserveHandlers(scheduler, held, view.own_host, limits)),
+            SequencingHandlers(scheduler, view.members, view.own_host, limits),
         )
         heads = {head: handler for part in parts for head, handler in part.handlers().items()}
         self._host_calls = HostCallDispatcher(scheduler, view, rng, cancelling, limits, held, heads)
@@ -139,7 +139,7 @@ class Machine:
         self._scheduler.set_clock(agent, 0)
         w = block.w
         w[layout.W_CLASS], w[layout.W_GENERATION] = record, generation
-        block.append_trail(self._here)
+        block.append_trail(self._own_host)
         self.agents[member.id] = agent
         if not agent.open:
             self.opening[member.id] = agent
@@ -165,7 +165,7 @@ class Machine:
         if self._scheduler.pending_calls:
             self.pending_calls.cancel_unneeded(agent)
         agent.block.w[layout.W_HOPS] += 1
-        agent.block.append_trail(self._here)
+        agent.block.append_trail(self._own_host)
         if self.hooks.on_arrival is not None:
             self.hooks.on_arrival(agent)
         return agent

@@ -92,7 +92,7 @@ class MonitorWaits:
         agent.start_monitor_wait(thread, POLLS if polls else WAITS)
         if is_first:
             # The thread may have changed the conditions of other threads.
-            for waiting in [one for one in agent.monitor_waits if one != thread]:
+            for waiting in [waiter for waiter in agent.monitor_waits if waiter != thread]:
                 wake(self._queue, agent, waiting)
         self._scheduler.complete_at_once(agent, thread, entries)
         self._scheduler.unblock(agent)

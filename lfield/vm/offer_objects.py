@@ -70,17 +70,17 @@ class OfferClass:
 
     def proxy(self, way: str) -> int:
         """The resource type of a field that holds a proxy. Raises UnknownWay."""
-        kind, of = self._ways.get(way, (OBJECT, -1))
+        kind, target = self._ways.get(way, (OBJECT, -1))
         if kind != PROXY:
             raise self._unknown(way)
-        return of
+        return target
 
     def part(self, way: str) -> int:
         """The capability of a field that holds another offer. Raises UnknownWay."""
-        kind, of = self._ways.get(way, (PROXY, -1))
-        if kind != OBJECT or of not in self._parts:
+        kind, target = self._ways.get(way, (PROXY, -1))
+        if kind != OBJECT or target not in self._parts:
             raise self._unknown(way)
-        return of
+        return target
 
     def _unknown(self, way: str) -> UnknownWay:
         return UnknownWay(
@@ -167,18 +167,18 @@ class _Writer:
     def __init__(self, offer_classes: OfferClasses, base: int, now: float) -> None:
         self.words = array("q")
         self._shapes, self._base, self._now = offer_classes, base, now
-        self._made: dict[tuple[int, object], int] = {}
+        self._shared_places: dict[tuple[int, object], int] = {}
 
     def offers(self, capability: int, found: Sequence[FoundOffer]) -> int:
         """An array of offers; returns its place."""
-        offers = [self.offer(self._shapes.of[capability], one) for one in found]
+        offers = [self.offer(self._shapes.of[capability], offer) for offer in found]
         return self.array(self._shapes.arrays[capability], offers)
 
     def offer(self, shape: OfferClass, found: FoundOffer) -> int:
         """An offer with its components; returns its place."""
         if found.parts:
-            of = self._shapes.of
-            filled = {way: self.offer(of[shape.part(way)], part) for way, part in found.parts.items()}
+            classes = self._shapes.of
+            filled = {way: self.offer(classes[shape.part(way)], part) for way, part in found.parts.items()}
         else:
             filled = {found.way: self.put(layout.PROXY, shape.proxy(found.way), [found.member, 0])}
         own = [self._facts(found), *(filled.get(way, 0) for way in shape.fields)]
@@ -212,7 +212,7 @@ class _Writer:
         description.append(self.array(reals, _bits(found.numbers)))
         description.append(self._shared_array(strings, found.texts, lambda: map(self._text, found.texts)))
         ages = found.ages if self._shapes.fact_count > OLDEST_FACTS else tuple(map(_still, found.ages))
-        description.append(self._shared_array(reals, _same(ages), lambda: _bits(ages)))
+        description.append(self._shared_array(reals, _comparable(ages), lambda: _bits(ages)))
         description += [found.found, self._text(found.note)]
         description.append(self._shared_array(strings, found.sources, lambda: map(self._text, found.sources)))
         description += _bits([self._now])
@@ -220,19 +220,19 @@ class _Writer:
 
     def _shared_array(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
         """The array of some values, shared by all offers with equal values."""
-        place = self._made.get((type, value))
+        place = self._shared_places.get((type, value))
         if place is None:
-            place = self._made[type, value] = self.array(type, body())
+            place = self._shared_places[type, value] = self.array(type, body())
         return place
 
     def _text(self, text: str | None) -> int:
         if text is None:
             return 0
-        place = self._made.get((layout.STRING, text))
+        place = self._shared_places.get((layout.STRING, text))
         if place is None:
             raw = text.encode("utf-8", "replace")
             padded = array("q", raw.ljust(len(raw) + 7 & ~7, b"\0"))
-            place = self._made[layout.STRING, text] = self.put(layout.STRING, 0, [len(raw), *padded])
+            place = self._shared_places[layout.STRING, text] = self.put(layout.STRING, 0, [len(raw), *padded])
         return place
 
 
@@ -241,7 +241,7 @@ def _still(age: float) -> float:
     return 0.0 if math.isnan(age) else age
 
 
-def _same(numbers: Iterable[float]) -> tuple[object, ...]:
+def _comparable(numbers: Iterable[float]) -> tuple[object, ...]:
     """Comparable numbers: NaN equals NaN."""
     return tuple(None if number != number else number for number in numbers)
 

@@ -77,8 +77,8 @@ class PendingCall:
     @property
     def cancel_reason(self) -> str:
         """The reason that the portal gets when the coordinator cancels the call."""
-        what = "has cancelled" if self.is_future else "has left the together that called"
-        return f"{self.agent} {what} {self.portal}()"
+        event = "has cancelled" if self.is_future else "has left the together that called"
+        return f"{self.agent} {event} {self.portal}()"
 
     @property
     def ended(self) -> str:

@@ -75,8 +75,8 @@ def live_resource(scheduler: Scheduler, member: TeamMember) -> Agent:
     """A live resource of this host. Raises Trap if the resource has died."""
     resource = scheduler.agents.get(member.id)
     if resource is None or resource.ended:
-        why = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
-        raise Trap("UnreachableResourceException", f"{member.id} is not available: {why}")
+        reason = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
+        raise Trap("UnreachableResourceException", f"{member.id} is not available: {reason}")
     return resource
 
 
@@ -92,14 +92,14 @@ def target_resource(
     resource = scheduler.agents.get(member.id)
     if resource is None or resource.ended:
         resource = live_resource(scheduler, member)
-    if (rules := scheduler.hooks.rules) is not None and (why := rules(caller.id, member.id, method)):
-        raise Trap("AccessException", why)
+    if (rules := scheduler.hooks.rules) is not None and (reason := rules(caller.id, member.id, method)):
+        raise Trap("AccessException", reason)
     w, start = caller.block.w, proxy + PROXY_START
     copy = w[W_GENERATION], w[W_SEQUENCE]
     if copy < resource.newest_callers.get(caller.id, copy) and (
-        why := _outdated_reason(scheduler, resource, caller, copy)
+        reason := _outdated_reason(scheduler, resource, caller, copy)
     ):
-        raise Trap("UnreachableResourceException", why)
+        raise Trap("UnreachableResourceException", reason)
     incarnation = w[start]
     if incarnation and incarnation != scheduler.incarnation:
         w[start] = scheduler.incarnation
@@ -111,12 +111,12 @@ def _outdated_reason(scheduler: Scheduler, resource: Agent, caller: Agent, copy:
     """The reason why a copy older than the newest is refused; '' when the newest is of a stopped start."""
     generation, _ = resource.newest_callers[caller.id]
     if generation == copy[0]:
-        what = "copy"
+        stage = "copy"
     elif scheduler.world.is_superseded(caller.id, generation):
         return ""
     else:
-        what = "start"
-    return f"a later {what} of {caller.id} has called {resource.id}: this older one is no longer served"
+        stage = "start"
+    return f"a later {stage} of {caller.id} has called {resource.id}: this older one is no longer served"
 
 
 def is_served(scheduler: Scheduler, resource: Agent, caller: Agent, reservation: int) -> bool:

@@ -386,8 +386,8 @@ class _Templates(dict[int, "memoryview[int]"]):
     def __missing__(self, method: int) -> memoryview[int]:
         record = self._program.core.methods[method]
         entry = record.entry if record.synchronized else record.entry + 1
-        self[method] = made = thread_template(method, self._layouts.frame_words[method], entry)
-        return made
+        self[method] = template = thread_template(method, self._layouts.frame_words[method], entry)
+        return template
 
 
 def _references(program: Program, method: MethodRecord) -> tuple[int, ...]:

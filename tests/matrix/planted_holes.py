@@ -38,8 +38,8 @@ HOLES = (
     Hole(
         "portal rules are not applied",
         "vm/portal_calls.py",
-        "if (rules := scheduler.hooks.rules) is not None and (why",
-        "if False and (rules := scheduler.hooks.rules) is not None and (why",
+        "if (rules := scheduler.hooks.rules) is not None and (reason",
+        "if False and (rules := scheduler.hooks.rules) is not None and (reason",
         "from_a_coordinator",
     ),
     Hole(

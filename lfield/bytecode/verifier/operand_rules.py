@@ -56,7 +56,7 @@ def _rtn(view: MethodView, pc: int, quad: Quad) -> bool:
     return view.method.result == VOID
 
 
-def _same(view: MethodView, pc: int, quad: Quad) -> bool:
+def _has_equal_kinds(view: MethodView, pc: int, quad: Quad) -> bool:
     kinds = {view.types.kind(view.source(operand, pc)) for operand in quad[2:]}
     return PROXY not in kinds or kinds <= {PROXY, NULL}
 
@@ -75,8 +75,8 @@ RULES: dict[str, tuple[Rule, str]] = {
     "lds": (_lds, "the constant is not a string"),
     "new": (_new, "the object cannot be created here, or does not fit the slot"),
     "newarray": (_newarray, "the type is not an array, or not that of the slot"),
-    "eqr": (_same, "a proxy is compared with something else"),
-    "sner": (_same, "a proxy is compared with something else"),
+    "eqr": (_has_equal_kinds, "a proxy is compared with something else"),
+    "sner": (_has_equal_kinds, "a proxy is compared with something else"),
     "return": (_return, "the value is not the result of this method"),
     "rtn": (_rtn, "the method must return a result"),
     "throw": (_throw, "only objects of classes can be thrown"),

@@ -111,16 +111,16 @@ class MethodView:
         if not lowest <= number < self._counts[operand.role]:
             raise self.refused(pc, f"operand {operand.role} {number} does not exist")
 
-    def _has_kind(self, given: int, operand: Operand) -> bool:
+    def _has_kind(self, actual: int, operand: Operand) -> bool:
         exact = _EXACT.get(operand.kind)
         if exact is not None:
             # A written slot must have exactly the type; a slot that is read may also be null.
-            return given == exact if operand.role == "D" else self.types.fits(given, exact)
+            return actual == exact if operand.role == "D" else self.types.fits(actual, exact)
         if operand.kind == "ref":
-            return self.types.is_reference(given)
+            return self.types.is_reference(actual)
         if operand.role == "D" or operand.kind in ("same", "any"):
             return True  # decided by the rule of the instruction
-        return self.types.kind(given) == OBJECT if operand.kind == "object" else self.types.is_array(given)
+        return self.types.kind(actual) == OBJECT if operand.kind == "object" else self.types.is_array(actual)
 
     def field_type(self, pc: int, holder: int, number: int) -> int:
         """The type of a field of the object in a slot."""

@@ -84,22 +84,22 @@ class TypeTable:
         kind = self._records[index].kind
         return kind in _VALUES and (kind != OBJECT or self.is_object(index))
 
-    def fits(self, given: int, expected: int) -> bool:
+    def fits(self, actual: int, expected: int) -> bool:
         """Whether a value of one type may be stored where another is expected.
 
         Ints and members of enums fit each other. Null fits every reference, an object of a class fits ANY and
         the class's parent; otherwise the types must be equal.
         """
-        if given == expected:
+        if actual == expected:
             return True
-        if given == NULL:
+        if actual == NULL:
             return self.is_reference(expected)
-        if self._records[given].kind == INT:
+        if self._records[actual].kind == INT:
             # A member of an enum is an int.
             return self._records[expected].kind == INT
-        if not self.is_object(given):
+        if not self.is_object(actual):
             return False
-        return expected == ANY or (self.is_object(expected) and self._parent(given) == self._name(expected))
+        return expected == ANY or (self.is_object(expected) and self._parent(actual) == self._name(expected))
 
     def _name(self, index: int) -> str:
         return self._classes[self._records[index].of].name

@@ -67,32 +67,32 @@ def async_variants_of(methods: Sequence[Method], *, has_futures: bool = False) -
 
     `has_futures`: whether there is any `async`.
     """
-    made: dict[Method, AsyncVariant] = {}
+    variants: dict[Method, AsyncVariant] = {}
     waiting = _started_methods(methods)
     if has_futures:
         waiting += _future_methods(methods)
     while waiting:
         method = waiting.pop(0)
-        if method not in made:
-            made[method] = async_variant_of(method)
-            waiting += _started_methods([made[method].method])
-    return made
+        if method not in variants:
+            variants[method] = async_variant_of(method)
+            waiting += _started_methods([variants[method].method])
+    return variants
 
 
 def _started_methods(methods: Iterable[Method]) -> list[Method]:
     """The methods of offers that a `together` or a variant starts, without duplicates."""
     found: dict[Method, None] = {}
     for method in methods:
-        for one in all_statements(method.body):
-            if isinstance(one, StartCall) and isinstance(one.call, Call):
-                found[one.call.method] = None
+        for stmt in all_statements(method.body):
+            if isinstance(stmt, StartCall) and isinstance(stmt.call, Call):
+                found[stmt.call.method] = None
     return list(found)
 
 
 def _future_methods(methods: Iterable[Method]) -> list[Method]:
     """The methods of offers that an `async` begins."""
-    statements = (one for method in methods for one in all_statements(method.body))
-    expressions = (value for one in statements for value in statement_expressions(one))
+    statements = (stmt for method in methods for stmt in all_statements(method.body))
+    expressions = (value for stmt in statements for value in statement_expressions(stmt))
     started = (part.call for value in expressions for part in descendants(value) if isinstance(part, Async))
     return list(dict.fromkeys(call.method for call in started if isinstance(call, Call)))
 
@@ -110,13 +110,13 @@ def async_variant_of(method: Method) -> AsyncVariant:
         into = LocalGet(method.span, array.type, array), LocalGet(method.span, types.INT, index)
         place = Element(method.span, method.result, *into)
         added += [array, index]
-    made = replace(
+    variant = replace(
         method,
         parameters=[*method.parameters, *added],
         result=types.VOID,
         body=_steps(method.body, place),
     )
-    return AsyncVariant(made, ticket)
+    return AsyncVariant(variant, ticket)
 
 
 def _steps(body: Sequence[Stmt], place: Element | None) -> list[Stmt]:
@@ -127,20 +127,20 @@ def _steps(body: Sequence[Stmt], place: Element | None) -> list[Stmt]:
             results = [] if value is None or place is None else [SettleResult(value.span, value, place)]
             start = StartCall(call.span, call, None)
             return [*_steps(before, place), start, *results, Return(leave.span, None)]
-    return [step for one in body for step in _step(one, place)]
+    return [step for stmt in body for step in _step(stmt, place)]
 
 
-def _step(one: Stmt, place: Element | None) -> list[Stmt]:
-    match one:
+def _step(stmt: Stmt, place: Element | None) -> list[Stmt]:
+    match stmt:
         case Return(value=PortalCall() | Call() as call) if _starts_call(call):
-            return [StartCall(one.span, call, place), Return(one.span, None)]
+            return [StartCall(stmt.span, call, place), Return(stmt.span, None)]
         case Return(value=Expr() as value) if place is not None:
-            return [SettleResult(value.span, value, place), Return(one.span, None)]
+            return [SettleResult(value.span, value, place), Return(stmt.span, None)]
         case If():
-            return [replace(one, then=_steps(one.then, place), otherwise=_steps(one.otherwise, place))]
+            return [replace(stmt, then=_steps(stmt.then, place), otherwise=_steps(stmt.otherwise, place))]
         case BlockStmt():
-            return [replace(one, body=_steps(one.body, place))]
-    return [one]
+            return [replace(stmt, body=_steps(stmt.body, place))]
+    return [stmt]
 
 
 def _starts_call(call: PortalCall | Call) -> bool:
@@ -153,4 +153,4 @@ def _starts_call(call: PortalCall | Call) -> bool:
 def _is_computed(value: Expr) -> bool:
     """Whether a value depends only on the parameters of the method."""
     kinds = LocalGet | Literal_ | Binary | Negate | ToReal
-    return all(isinstance(one, kinds) for one in descendants(value))
+    return all(isinstance(part, kinds) for part in descendants(value))

@@ -36,7 +36,7 @@ class EffectAnalysis:
 
     def has_effects(self, expr: Expr) -> bool:
         """Whether an expression has side effects."""
-        return any(_has_effect(one) for one in descendants(expr)) or not self._effectful.isdisjoint(
+        return any(_has_effect(part) for part in descendants(expr)) or not self._effectful.isdisjoint(
             _called(expr)
         )
 
@@ -45,10 +45,10 @@ class EffectAnalysis:
         visited: set[Method] = set()
         waiting = [expr]
         while waiting:
-            one = waiting.pop()
-            if any(_reads_outside(part) for part in descendants(one)):
+            part = waiting.pop()
+            if any(_reads_outside(inner) for inner in descendants(part)):
                 return True
-            for method in set(_called(one)) - visited:
+            for method in set(_called(part)) - visited:
                 visited.add(method)
                 waiting += _expressions(method)
         return False
@@ -60,8 +60,8 @@ class EffectAnalysis:
         working = {
             method
             for method, found in expressions.items()
-            if any(isinstance(one, Together | Within | Reserve) for one in all_statements(method.body))
-            or any(_has_effect(one) for expr in found for one in descendants(expr))
+            if any(isinstance(stmt, Together | Within | Reserve) for stmt in all_statements(method.body))
+            or any(_has_effect(part) for expr in found for part in descendants(expr))
         }
         before = -1
         while before != len(working):
@@ -71,27 +71,27 @@ class EffectAnalysis:
 
 
 def _expressions(method: Method) -> Iterator[Expr]:
-    for one in all_statements(method.body):
-        yield from statement_expressions(one)
+    for stmt in all_statements(method.body):
+        yield from statement_expressions(stmt)
 
 
 def _called(expr: Expr) -> Iterator[Method]:
     """The methods and constructors that an expression itself calls."""
-    for one in descendants(expr):
-        if isinstance(one, Call):
-            yield one.method
-        elif isinstance(one, New) and one.constructor is not None:
-            yield one.constructor
+    for part in descendants(expr):
+        if isinstance(part, Call):
+            yield part.method
+        elif isinstance(part, New) and part.constructor is not None:
+            yield part.constructor
 
 
-def _reads_outside(one: Expr) -> bool:
-    return isinstance(one, DeviceCall) or (isinstance(one, LibraryCall) and one.operation in _OUTSIDE)
+def _reads_outside(expr: Expr) -> bool:
+    return isinstance(expr, DeviceCall) or (isinstance(expr, LibraryCall) and expr.operation in _OUTSIDE)
 
 
-def _has_effect(one: Expr) -> bool:
-    match one:
+def _has_effect(expr: Expr) -> bool:
+    match expr:
         case PortalCall() | DeviceCall():
             return True
         case LibraryCall():
-            return one.operation in _BLOCKING or one.operation.startswith(_OUTPUT)
+            return expr.operation in _BLOCKING or expr.operation.startswith(_OUTPUT)
     return False

@@ -94,17 +94,17 @@ async def connected(lookup: Lookup, within: float, make: Callable[[], P]) -> tup
     failures: dict[tuple[int, Address], Exception] = {}
     try:
         async with asyncio.timeout(within):
-            made, (_, address) = await first_connected(found, failures)
+            connection, (_, address) = await first_connected(found, failures)
     except TimeoutError:
-        raise TimeoutError(_why(found, failures, f"no answer within {within:g} s")) from None
+        raise TimeoutError(_failures(found, failures, f"no answer within {within:g} s")) from None
     except OSError:
-        raise OSError(_why(found, failures, "")) from None
-    _keep_alive(made)
-    _, protocol = await loop.create_connection(make, sock=made)
+        raise OSError(_failures(found, failures, "")) from None
+    _keep_alive(connection)
+    _, protocol = await loop.create_connection(make, sock=connection)
     return protocol, _numeric(address)
 
 
-def _why(found: Sequence[tuple[int, Address]], failures: Mapping[Any, Exception], silent: str) -> str:
+def _failures(found: Sequence[tuple[int, Address]], failures: Mapping[Any, Exception], silent: str) -> str:
     """The result of each address."""
     reasons = {at: getattr(error, "strerror", None) or str(error) for at, error in failures.items()}
     return "; ".join(f"{_numeric(at[1])}: {reasons.get(at, silent)}" for at in found)

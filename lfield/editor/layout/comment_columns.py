@@ -26,11 +26,13 @@ def comment_columns(rows: Sequence[Row]) -> dict[int, int]:
     """The column of the comment of each row that has one after code, or below such a one."""
     found: dict[int, int] = {}
     for group in _groups(rows):
-        column = max(one.end + 1 for one in group)
-        if is_aligned := any(one.pad > 1 for one in group):
+        column = max(comment.end + 1 for comment in group)
+        if is_aligned := any(comment.pad > 1 for comment in group):
             column = max(column, group[0].column + group[0].shift)
-        for one in group:
-            found[one.row] = column if is_aligned else one.end + 1 if one.end else found[one.row - 1]
+        for comment in group:
+            found[comment.row] = (
+                column if is_aligned else comment.end + 1 if comment.end else found[comment.row - 1]
+            )
     return found
 
 
@@ -38,13 +40,15 @@ def _groups(rows: Sequence[Row]) -> Iterator[list[_Aligned]]:
     """Comments in consecutive rows that begin in the same column of the source."""
     group: list[_Aligned] = []
     for number, row in enumerate(rows):
-        one = _aligned(number, row)
-        is_below = group and one is not None and not row.is_behind_blank and one.column == group[-1].column
+        comment = _aligned(number, row)
+        is_below = (
+            group and comment is not None and not row.is_behind_blank and comment.column == group[-1].column
+        )
         if group and not is_below:
             yield group
             group = []
-        if one is not None and (is_below or one.end):
-            group.append(one)
+        if comment is not None and (is_below or comment.end):
+            group.append(comment)
     if group:
         yield group
 

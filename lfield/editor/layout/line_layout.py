@@ -41,12 +41,12 @@ class Row:
     def text(self, count: int | None = None) -> str:
         """The line without a comment at its end, or its first `count` pieces."""
         pieces = self.code[:count]
-        made = " " * self.indent
+        line = " " * self.indent
         for at, piece in enumerate(pieces):
             if at and is_spaced(pieces[at - 1], piece):
-                made += " "
-            made += _shifted(piece.item, made) if "\n" in piece.item.text else piece.item.text
-        return made
+                line += " "
+            line += _shifted(piece.item, line) if "\n" in piece.item.text else piece.item.text
+        return line
 
     def width(self, count: int | None = None) -> int:
         """The end of that text in columns; of a comment with several lines the last one counts."""

@@ -318,7 +318,7 @@ class ReservationService(Part):
                         self._deny(effect)
         for resource in self._reservations.known:
             if (found := self._machine.agents.get(resource)) is not None:
-                found.mark_reserved(on=self._reservations.is_contended(resource))
+                found.mark_reserved(is_reserved=self._reservations.is_contended(resource))
 
     def _write(self, effect: PersistHolder) -> None:
         if self._has_journal:

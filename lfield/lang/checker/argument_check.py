@@ -55,8 +55,8 @@ def _unknown_ids(units: Sequence[tree.Unit], ids: Mapping[str, list[str]]) -> It
 def _unknown_id(span: Span, id: str, resource: str, ids: Mapping[str, list[str]]) -> Iterator[Diagnostic]:
     known = ids.get(resource, [])
     if id not in known:
-        none = f"no agent of type {resource} is deployed"
-        hint = did_you_mean(id, known) or (f"its agents: {listed(known)}" if known else none)
+        absence = f"no agent of type {resource} is deployed"
+        hint = did_you_mean(id, known) or (f"its agents: {listed(known)}" if known else absence)
         yield messages.UNKNOWN_AGENT.at(span, hint=hint, id=id, type=resource)
 
 
@@ -64,8 +64,8 @@ def _findings(
     agent: DeployedAgent, uses: Mapping[str, ArgumentUses], ids: Mapping[str, list[str]]
 ) -> Iterator[Diagnostic]:
     # arg[0] is the id of the agent itself; the arguments of the deployment follow.
-    given, own = (agent.id, *agent.arguments), uses.get(agent.type, ArgumentUses())
-    missing = {index: expr for index, expr in own.indexes.items() if not 0 <= index < len(given)}
+    arguments, own = (agent.id, *agent.arguments), uses.get(agent.type, ArgumentUses())
+    missing = {index: expr for index, expr in own.indexes.items() if not 0 <= index < len(arguments)}
     if missing:
         index = min(missing)
         line = missing[index].span.line
@@ -81,15 +81,15 @@ def _findings(
             given="&".join(_complete(agent, max(missing))),
         )
     for index, resource in own.finds.items():
-        if 0 <= index < len(given):
-            yield from _unknown_id(agent.span, given[index], resource, ids)
+        if 0 <= index < len(arguments):
+            yield from _unknown_id(agent.span, arguments[index], resource, ids)
 
 
 def _complete(agent: DeployedAgent, needed: int) -> list[str]:
     """The arguments of an agent, with placeholders for those that are missing."""
     missing = range(len(agent.arguments) + 1, needed + 1)
-    shown = [f"ARGUMENT{number}" for number in missing[:_MAX_SHOWN]]
-    return [*agent.arguments, *shown, *(["..."] if len(missing) > _MAX_SHOWN else [])]
+    placeholders = [f"ARGUMENT{number}" for number in missing[:_MAX_SHOWN]]
+    return [*agent.arguments, *placeholders, *(["..."] if len(missing) > _MAX_SHOWN else [])]
 
 
 def argument_uses(unit: tree.Unit) -> ArgumentUses:
@@ -126,20 +126,20 @@ def _evaluated(node: object) -> Iterator[object]:
     """A statement or expression and the parts that are evaluated whenever it is."""
     waiting = [node]
     while waiting:
-        here = waiting.pop()
-        yield here
-        if isinstance(here, tree.Logical):
-            waiting.append(here.left)
-        elif isinstance(here, tree.If):
-            waiting.append(here.condition)
-        elif isinstance(here, tree.Loop):
-            is_endless = isinstance(here.condition, tree.Literal_) and here.condition.value is True
-            waiting.extend([here.condition, *(here.body if is_endless else ())])
-        elif isinstance(here, tree.Try):
+        node_part = waiting.pop()
+        yield node_part
+        if isinstance(node_part, tree.Logical):
+            waiting.append(node_part.left)
+        elif isinstance(node_part, tree.If):
+            waiting.append(node_part.condition)
+        elif isinstance(node_part, tree.Loop):
+            is_endless = isinstance(node_part.condition, tree.Literal_) and node_part.condition.value is True
+            waiting.extend([node_part.condition, *(node_part.body if is_endless else ())])
+        elif isinstance(node_part, tree.Try):
             # A body with a catch may read an optional argument.
-            waiting.extend([*(() if here.catches else here.body), *(here.last or ())])
-        elif isinstance(here, tree.Stmt | tree.Expr):
-            waiting.extend(_parts(here))
+            waiting.extend([*(() if node_part.catches else node_part.body), *(node_part.last or ())])
+        elif isinstance(node_part, tree.Stmt | tree.Expr):
+            waiting.extend(_parts(node_part))
 
 
 def _parts(node: tree.Stmt | tree.Expr) -> Iterator[object]:

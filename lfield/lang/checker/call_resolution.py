@@ -62,28 +62,28 @@ from lfield.text.suggestions import choice, closest, did_you_mean
 
 
 def check_bare_call(
-    body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]
+    body: BodyContext, raw: syntax.Call, name: syntax.Name, arguments: list[tree.Expr]
 ) -> tree.Expr:
     """`name(arguments)`: an own method, a find or explain method, or a library function."""
     if own := body.methods(name.name):
-        return _method(body, raw, name.span, body.this(name.span), own, given)
+        return _method(body, raw, name.span, body.this(name.span), own, arguments)
     if functions := body.symbols.functions.get(name.name):
-        return function_call(body, raw, name.span, functions, given)
+        return function_call(body, raw, name.span, functions, arguments)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
-        return find_resource(body, raw, name.span, resource, given)
-    asked = parse_query_name(name.name)
-    capability = body.symbols.capability(asked[1]) if asked is not None else None
-    if asked is not None and capability is not None:
-        return check_query(body, raw, name.span, asked[0], capability, given)
+        return find_resource(body, raw, name.span, resource, arguments)
+    query = parse_query_name(name.name)
+    capability = body.symbols.capability(query[1]) if query is not None else None
+    if query is not None and capability is not None:
+        return check_query(body, raw, name.span, query[0], capability, arguments)
     if name.name in LIBRARY_NAMES:
-        return _library(body, raw, name, given)
+        return _library(body, raw, name, arguments)
     _unknown_function(body, name)
     return unknown(raw.span)
 
 
 def check_member_call(
-    body: BodyContext, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, given: list[tree.Expr]
+    body: BodyContext, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, arguments: list[tree.Expr]
 ) -> tree.Expr:
     """`owner.name(arguments)`."""
     kind, name, place = owner.type, function.name, function.place
@@ -91,33 +91,33 @@ def check_member_call(
     if kind is UNKNOWN:
         return unknown(raw.span)
     if isinstance(owner, tree.LoopName):
-        return check_loop_call(body, raw, function, owner.loop, given)
+        return check_loop_call(body, raw, function, owner.loop, arguments)
     if isinstance(owner, tree.EnumName) or isinstance(kind, EnumType):
-        return check_enum_call(body, raw, function, owner, given)
+        return check_enum_call(body, raw, function, owner, arguments)
     if isinstance(kind, DeviceType):
-        return _device(body, raw, function, owner, given)
+        return _device(body, raw, function, owner, arguments)
     if unit is not None:
         methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
         if isinstance(kind, LIBRARY_CLASSES) and not body.symbols.library.parameters:
             methods = [method for method in methods if method.public]
         if methods:
-            return _method(body, raw, place, owner, methods, given)
-    if (head := head_call(body, raw, name, owner, given)) is not None:
+            return _method(body, raw, place, owner, methods, arguments)
+    if (head := head_call(body, raw, name, owner, arguments)) is not None:
         return head
     if name == "hash" and kind == STRING and body.symbols.library.parameters:
         return tree.LibraryCall(raw.span, INT, "str_hash", [owner])
     if kind == TICKET:
         return tree.LibraryCall(raw.span, *TICKET_METHODS[name], [owner])
     if isinstance(kind, ArrayType) and name in ARRAY_LIBRARY:
-        return check_library_call(body, raw, owner, given)
+        return check_library_call(body, raw, owner, arguments)
     functions = _functions_of(kind, name) if unit is None or isinstance(kind, ResourceType) else []
     if functions:
-        return _operation(body, raw, place, functions, given, owner)
+        return _operation(body, raw, place, functions, arguments, owner)
     _unknown_member(body, function, kind, unit)
     return unknown(raw.span)
 
 
-def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tree.Expr:
+def check_new(body: BodyContext, raw: syntax.New, arguments: list[tree.Expr]) -> tree.Expr:
     """`check_new C(arguments)`."""
     name, place = raw.type.name, raw.type.span
     unit = body.symbols.units.get(name)
@@ -131,7 +131,7 @@ def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tre
         return unknown(raw.span)
     if name in EXCEPTION_NAMES:
         candidates = [OverloadCandidate(name, types, None) for types in ((), (STRING,))]
-        chosen = choose_overload(body.symbols, place, candidates, given)
+        chosen = choose_overload(body.symbols, place, candidates, arguments)
         return (
             unknown(raw.span) if chosen is None else tree.New(raw.span, BUILTIN_TYPES[name], None, chosen[1])
         )
@@ -145,15 +145,15 @@ def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tre
         if kind is not UNKNOWN:
             body.report(messages.NEW_TYPE, place, given=name)
         return unknown(raw.span)
-    constructor = _chosen(body, place, unit.overloads(name, "constructor"), given)
+    constructor = _chosen(body, place, unit.overloads(name, "constructor"), arguments)
     return unknown(raw.span) if constructor is None else tree.New(raw.span, kind, *constructor)
 
 
 def _chosen(
-    body: BodyContext, place: Span, methods: Sequence[tree.Method], given: list[tree.Expr]
+    body: BodyContext, place: Span, methods: Sequence[tree.Method], arguments: list[tree.Expr]
 ) -> tuple[tree.Method, list[tree.Expr]] | None:
     """The selected overload, if it may be called from here."""
-    chosen = choose_overload(body.symbols, place, of_methods(methods), given)
+    chosen = choose_overload(body.symbols, place, of_methods(methods), arguments)
     is_private = chosen is not None and not chosen[0].public and not body.symbols.library.parameters
     if chosen is not None and is_private and chosen[0].unit is not body.unit:
         method = chosen[0]
@@ -180,15 +180,15 @@ def _method(
     return tree.Call(raw.span, method.result, owner, method, arguments)
 
 
-def _library(body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
+def _library(body: BodyContext, raw: syntax.Call, name: syntax.Name, arguments: list[tree.Expr]) -> tree.Expr:
     """A function of the library, where its scope allows it."""
     functions = [f for f in FUNCTIONS if f.name == name.name]
     scope, side = functions[0].scope, body.unit.usage
     if scope in ("any", side):
-        return _operation(body, raw, name.span, functions, given, None)
+        return _operation(body, raw, name.span, functions, arguments, None)
     if body.function:
-        what = "does input or output" if scope == "resource" else "reads the state of its coordinator"
-        body.report(messages.IMPURE, name.span, function=body.method.name, what=what)
+        effect = "does input or output" if scope == "resource" else "reads the state of its coordinator"
+        body.report(messages.IMPURE, name.span, function=body.method.name, what=effect)
         return unknown(raw.span)
     rule = messages.COORDINATOR_FUNCTION
     if scope == "resource":
@@ -238,7 +238,7 @@ def _functions_of(kind: Type, name: str) -> list[LibraryFunction]:
 
 
 def _device(
-    body: BodyContext, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, given: list[tree.Expr]
+    body: BodyContext, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, arguments: list[tree.Expr]
 ) -> tree.Expr:
     """`fc.instruction(arguments)`: of a device of the resource, or of one passed to an object."""
     manifest = body.symbols.devices[owner.type.name]
@@ -248,7 +248,7 @@ def _device(
         return unknown(raw.span)
     types = tuple(_manifest_type(p.type) for p in instruction.parameters)
     candidate = OverloadCandidate(instruction.name, types, instruction)
-    chosen = choose_overload(body.symbols, function.place, [candidate], given)
+    chosen = choose_overload(body.symbols, function.place, [candidate], arguments)
     if chosen is None:
         return unknown(raw.span)
     result = _manifest_type(instruction.result)
@@ -327,10 +327,12 @@ def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit
     if not known and unit is None:
         body.report(messages.NO_MEMBERS, place, given=with_article(kind))
         return
-    what = {ResourceType: "portal", DeviceType: "instruction"}.get(type(kind), "method")
-    listing = choice(name, known, "it has") if known else f"it has no {what}s"
+    member_kind = {ResourceType: "portal", DeviceType: "instruction"}.get(type(kind), "method")
+    listing = choice(name, known, "it has") if known else f"it has no {member_kind}s"
     hint = _foreign_method(kind, name) or did_you_mean(name, known) or listing
-    body.report(messages.UNKNOWN_METHOD, place, hint=hint, type=kind, kind=what, name=name, known=listing)
+    body.report(
+        messages.UNKNOWN_METHOD, place, hint=hint, type=kind, kind=member_kind, name=name, known=listing
+    )
 
 
 # --- finding resources: findR(...) ----------------------------------------------------------------------

@@ -59,9 +59,9 @@ def _cause(terminator: Stmt) -> str:
 def _may_limit(body: Sequence[Stmt]) -> bool:
     """Whether statements may throw a TimeLimitException of their own: by a `within`, a method or a throw."""
     return any(
-        isinstance(one, Within | Throw)
-        or any(isinstance(part, Call) for value in statement_expressions(one) for part in descendants(value))
-        for one in all_statements(body)
+        isinstance(stmt, Within | Throw)
+        or any(isinstance(part, Call) for value in statement_expressions(stmt) for part in descendants(value))
+        for stmt in all_statements(body)
     )
 
 
@@ -83,54 +83,54 @@ class _Flow:
         """The first of these statements that control never passes; the statement after it is reported."""
         terminator: Stmt | None = None
         reported = False
-        for one in body:
+        for stmt in body:
             if terminator is not None and not reported:
                 cause = _cause(terminator)
-                self.symbols.report(messages.UNREACHABLE, one.span, cause=cause)
+                self.symbols.report(messages.UNREACHABLE, stmt.span, cause=cause)
                 reported = True
-            passes = self.statement_completes(one)
+            passes = self.statement_completes(stmt)
             if terminator is None and not passes:
-                terminator = one
+                terminator = stmt
         return terminator
 
-    def statement_completes(self, one: Stmt) -> bool:
+    def statement_completes(self, stmt: Stmt) -> bool:
         """Whether control can reach the end of a statement."""
-        match one:
+        match stmt:
             case Return() | Break() | Continue() | Throw():
                 return False
             case BlockStmt() | Together() | Reserve():
-                return self.completes(one.body)
+                return self.completes(stmt.body)
             case Within():
-                return self.within(one)
+                return self.within(stmt)
             case If():
-                ladder = [one, *reversed(left_spine(one, else_if))]
+                ladder = [stmt, *reversed(left_spine(stmt, else_if))]
                 ends = [self.completes(rung.then) for rung in ladder]
                 return any([*ends, self.completes(ladder[-1].otherwise)])
             case Loop():
-                self.completes(one.body)
-                endless = isinstance(one.condition, Literal_) and one.condition.value is True
-                return not endless or self.has_break(one.body)
+                self.completes(stmt.body)
+                endless = isinstance(stmt.condition, Literal_) and stmt.condition.value is True
+                return not endless or self.has_break(stmt.body)
             case Try():
-                self.check_catches(one)
-                ends = [self.completes(one.body), *(self.completes(clause.body) for clause in one.catches)]
-                return self.finally_completes(one) and any(ends)
+                self.check_catches(stmt)
+                ends = [self.completes(stmt.body), *(self.completes(clause.body) for clause in stmt.catches)]
+                return self.finally_completes(stmt) and any(ends)
         return True
 
-    def within(self, one: Within) -> bool:
+    def within(self, stmt: Within) -> bool:
         """Whether control can reach the end of a `within`."""
         self.limits += 1
-        passes = self.completes(one.body)
+        passes = self.completes(stmt.body)
         self.limits -= 1
         return passes
 
-    def finally_completes(self, one: Try) -> bool:
+    def finally_completes(self, stmt: Try) -> bool:
         """Whether control can reach the end of the `finally`; without one, True."""
         limits, self.limits = self.limits, 0
-        leaving = self.terminator(one.last or [])
+        leaving = self.terminator(stmt.last or [])
         self.limits = limits
         if leaving is None:
             return True
-        self.swallowing.add(one)
+        self.swallowing.add(stmt)
         self.symbols.report(messages.LOSING_FINALLY, leaving.span, cause=_cause(leaving))
         return False
 
@@ -152,9 +152,9 @@ class _Flow:
         """Whether a break in a loop's body leaves this loop."""
         waiting = list(body)
         while waiting:
-            one = waiting.pop()
-            if isinstance(one, Break):
+            stmt = waiting.pop()
+            if isinstance(stmt, Break):
                 return True
-            if not isinstance(one, Loop) and one not in self.swallowing:
-                waiting += [inner for part in nested_bodies(one) for inner in part]
+            if not isinstance(stmt, Loop) and stmt not in self.swallowing:
+                waiting += [inner for part in nested_bodies(stmt) for inner in part]
         return False

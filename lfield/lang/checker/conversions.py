@@ -42,15 +42,15 @@ _FUNCTIONS = {
 }
 
 
-def conversion_cost(given: Type, expected: Type) -> int | None:
+def conversion_cost(actual: Type, expected: Type) -> int | None:
     """0 when a value fits unchanged, more when it is widened (int to real, a class to its base class),
     else None.
     """
-    if UNKNOWN in (given, expected) or given == expected:
+    if UNKNOWN in (actual, expected) or actual == expected:
         return 0
-    if given == NULL:
+    if actual == NULL:
         return 0 if is_reference(expected) and not isinstance(expected, DeviceType) else None
-    return 1 if (given, expected) == (INT, REAL) else distance(given, expected)
+    return 1 if (actual, expected) == (INT, REAL) else distance(actual, expected)
 
 
 def widened(value: Expr, expected: Type) -> Expr:
@@ -95,16 +95,16 @@ def unknown(span: Span) -> Expr:
     return Literal_(span, UNKNOWN, None)
 
 
-def conversion_hint(given: Type, expected: Type) -> str:
+def conversion_hint(actual: Type, expected: Type) -> str:
     """The explicit conversion, or '' if there is none."""
-    function = _FUNCTIONS.get((given, expected))
+    function = _FUNCTIONS.get((actual, expected))
     if function is not None:
         return f"convert it: {function}(...)"
-    if isinstance(given, FutureType) and given.value == expected:
+    if isinstance(actual, FutureType) and actual.value == expected:
         return "wait for the result: f.await()"
-    if expected == BOOLEAN and given in (INT, REAL):
+    if expected == BOOLEAN and actual in (INT, REAL):
         return "compare it: ... != 0"
-    if given == NULL:
+    if actual == NULL:
         return f"{expected} is never null; only objects, arrays, strings and proxies can be"
     return ""
 
@@ -131,12 +131,13 @@ class OverloadCandidate(Generic[Chosen]):
     def __str__(self) -> str:
         return f"{self.name}({', '.join(map(str, self.types))})"
 
-    def cost(self, given: Sequence[Expr]) -> int | None:
+    def cost(self, arguments: Sequence[Expr]) -> int | None:
         """The number of widenings that a call needs; None when the arguments do not fit."""
-        if len(given) != len(self.types):
+        if len(arguments) != len(self.types):
             return None
         costs = [
-            conversion_cost(value.type, expected) for value, expected in zip(given, self.types, strict=True)
+            conversion_cost(value.type, expected)
+            for value, expected in zip(arguments, self.types, strict=True)
         ]
         known = [c for c in costs if c is not None]
         return sum(known) if len(known) == len(costs) else None
@@ -151,41 +152,41 @@ def choose_overload(
     symbols: Symbols,
     span: Span,
     candidates: Sequence[OverloadCandidate[Chosen]],
-    given: Sequence[Expr],
+    arguments: Sequence[Expr],
     hint: str | None = None,
 ) -> tuple[Chosen, list[Expr]] | None:
     """The best candidate and the converted arguments; None when there is none or an argument is in error.
 
     `hint` replaces the list of the candidates.
     """
-    costs = [(c.cost(given), c) for c in candidates]
+    costs = [(c.cost(arguments), c) for c in candidates]
     fitting = [(price, c) for price, c in costs if price is not None]
     if not fitting:
-        _report_mismatch(symbols, span, candidates, given, hint)
+        _report_mismatch(symbols, span, candidates, arguments, hint)
         return None
-    least = min(price for price, _ in fitting)
-    best = [c for price, c in fitting if price == least]
+    lowest = min(price for price, _ in fitting)
+    best = [c for price, c in fitting if price == lowest]
     if len(best) > 1:
-        if all(value.type is not UNKNOWN for value in given):
+        if all(value.type is not UNKNOWN for value in arguments):
             symbols.report(
                 messages.AMBIGUOUS,
                 span,
                 name=best[0].name,
-                given=_types(given),
+                given=_types(arguments),
                 candidates=listed(map(str, best)),
             )
         return None
     chosen = best[0]
-    for value, expected in zip(given, chosen.types, strict=True):
+    for value, expected in zip(arguments, chosen.types, strict=True):
         _note_exception_use(symbols, value, expected)
-    return chosen.what, [widened(v, expected) for v, expected in zip(given, chosen.types, strict=True)]
+    return chosen.what, [widened(v, expected) for v, expected in zip(arguments, chosen.types, strict=True)]
 
 
 def _report_mismatch(
     symbols: Symbols,
     span: Span,
     candidates: Sequence[OverloadCandidate[Chosen]],
-    given: Sequence[Expr],
+    arguments: Sequence[Expr],
     hint: str | None,
 ) -> None:
     if len(candidates) > 1:
@@ -195,18 +196,18 @@ def _report_mismatch(
             span,
             hint=hint,
             name=candidates[0].name,
-            given=_types(given),
+            given=_types(arguments),
             candidates=everything,
         )
         return
     only = candidates[0]
-    if len(given) != len(only.types):
+    if len(arguments) != len(only.types):
         expected = f"{len(only.types) or 'no'} argument{'s' if len(only.types) != 1 else ''}"
         symbols.report(
-            messages.ARGUMENT_COUNT, span, signature=only, expected=expected, given=len(given) or "none"
+            messages.ARGUMENT_COUNT, span, signature=only, expected=expected, given=len(arguments) or "none"
         )
         return
-    for number, (value, expected_type) in enumerate(zip(given, only.types, strict=True), 1):
+    for number, (value, expected_type) in enumerate(zip(arguments, only.types, strict=True), 1):
         if conversion_cost(value.type, expected_type) is None:
             symbols.report(
                 messages.ARGUMENT_TYPE,
@@ -219,5 +220,5 @@ def _report_mismatch(
             )
 
 
-def _types(given: Sequence[Expr]) -> str:
-    return ", ".join(str(value.type) for value in given)
+def _types(arguments: Sequence[Expr]) -> str:
+    return ", ".join(str(value.type) for value in arguments)

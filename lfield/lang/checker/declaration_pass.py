@@ -53,11 +53,11 @@ def _unit(symbols: Symbols, raw: syntax.Unit) -> Unit | None:
     return unit
 
 
-def is_new_name(symbols: Symbols, name: str, span: Span, what: str) -> bool:
+def is_new_name(symbols: Symbols, name: str, span: Span, kind: str) -> bool:
     """Whether no other declaration of the top level has the name; one that has it is reported."""
     existing = _existing_meaning(symbols, name)
     if existing is not None:
-        symbols.report(messages.NAME_IN_USE, span, name=name, what=existing, kind=what)
+        symbols.report(messages.NAME_IN_USE, span, name=name, what=existing, kind=kind)
     earlier = symbols.declaration(name)
     if earlier is not None:
         where = f"{earlier.source.name}, line {earlier.line}"
@@ -85,15 +85,15 @@ def _fields(symbols: Symbols, raw: syntax.Unit, declared: DeclaredUnit) -> None:
             line = earlier.span.line
             symbols.report(messages.DUPLICATE_FIELD, written.span, name=written.name, line=line)
             continue
-        made = Field(written.name, kind, len(unit.fields), written.public, written.span)
-        unit.add_field(made)
+        field = Field(written.name, kind, len(unit.fields), written.public, written.span)
+        unit.add_field(field)
         if written.value is None:
             continue
         if isinstance(kind, DeviceType):
             example = first_instruction(symbols, kind)
-            symbols.report(messages.DEVICE_USE, written.value.span, name=made.name, instruction=example)
+            symbols.report(messages.DEVICE_USE, written.value.span, name=field.name, instruction=example)
         else:
-            declared.initialisers.append((made, written.value))
+            declared.initialisers.append((field, written.value))
 
 
 def first_instruction(symbols: Symbols, kind: DeviceType) -> str:
@@ -119,8 +119,10 @@ class _Methods:
         whole = self.unit.name not in self.symbols.broken_units
         if self.unit.kind == "class" and "constructor" not in kinds:
             where = self.unit.span
-            made = Method(self.unit.name, "constructor", self.unit, [], VOID, True, False, where, where)
-            self.add(made, None)
+            constructor = Method(
+                self.unit.name, "constructor", self.unit, [], VOID, True, False, where, where
+            )
+            self.add(constructor, None)
         elif self.unit.kind != "class" and "init" not in kinds and whole:
             self.symbols.report(messages.NO_INIT, self.unit.span, unit=describe(self.unit))
 
@@ -210,12 +212,12 @@ class _Methods:
 
 def check_callable_name(symbols: Symbols, name: str, span: Span) -> None:
     """Report a name of a method or function that has another meaning where it is called."""
-    what = None
+    existing = None
     if name in LIBRARY_NAMES - YIELDING:
-        what = "a library function"
+        existing = "a library function"
     elif name.startswith("find") and symbols.resource(name[len("find") :]) is not None:
-        what = f"the find method of the resource {name[len('find') :]}"
-    elif (asked := parse_query_name(name)) is not None and symbols.capability(asked[1]) is not None:
-        what = f"the {asked[0]} method of the capability {asked[1]}"
-    if what is not None:
-        symbols.report(messages.METHOD_NAME_IN_USE, span, name=name, what=what)
+        existing = f"the find method of the resource {name[len('find') :]}"
+    elif (query := parse_query_name(name)) is not None and symbols.capability(query[1]) is not None:
+        existing = f"the {query[0]} method of the capability {query[1]}"
+    if existing is not None:
+        symbols.report(messages.METHOD_NAME_IN_USE, span, name=name, what=existing)

@@ -59,8 +59,8 @@ def evaluated(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     """Any expression: a call without a value, a device, and the `this` of a resource are allowed too."""
     if raw in body.checked:
         return body.checked.pop(raw)
-    for one in left_spine(raw, leftmost_operand):
-        body.checked[one] = _evaluated(body, one)
+    for operand in left_spine(raw, leftmost_operand):
+        body.checked[operand] = _evaluated(body, operand)
     return _evaluated(body, raw)
 
 
@@ -119,11 +119,11 @@ def condition(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
 def assignment(body: BodyContext, raw: syntax.Assign) -> tree.Expr:
     """`target = value`, where a statement or another assignment allows it."""
     if (element := map_target(body, raw.target)) is not None:
-        given = assigned(body, raw.value, element.type)
-        return set_element(body, raw.span, element, given)
+        assigned_value = assigned(body, raw.value, element.type)
+        return set_element(body, raw.span, element, assigned_value)
     place = target(body, raw.target)
-    given = assigned(body, raw.value, UNKNOWN if place is None else place.type)
-    return unknown(raw.span) if place is None else tree.Assign(raw.span, place.type, place, given)
+    assigned_value = assigned(body, raw.value, UNKNOWN if place is None else place.type)
+    return unknown(raw.span) if place is None else tree.Assign(raw.span, place.type, place, assigned_value)
 
 
 def assigned(body: BodyContext, raw: syntax.Expr, expected: Type) -> tree.Expr:
@@ -133,8 +133,8 @@ def assigned(body: BodyContext, raw: syntax.Expr, expected: Type) -> tree.Expr:
     plain = isinstance(raw, syntax.Assign) and raw.operator == "="
     if isinstance(raw, syntax.Assign) and plain:
         return require_type(body.symbols, assignment(body, raw), expected)
-    given = _constructor_argument(body, raw) if isinstance(expected, DeviceType) else value(body, raw)
-    return require_type(body.symbols, given, expected)
+    argument = _constructor_argument(body, raw) if isinstance(expected, DeviceType) else value(body, raw)
+    return require_type(body.symbols, argument, expected)
 
 
 def elements(body: BodyContext, raw: syntax.Elements, expected: Type) -> tree.Expr:
@@ -143,8 +143,8 @@ def elements(body: BodyContext, raw: syntax.Elements, expected: Type) -> tree.Ex
     if not isinstance(kind, ArrayType) and kind is not UNKNOWN:
         body.report(messages.ELEMENTS, raw.span, expected=with_article(kind))
         return unknown(raw.span)
-    of = kind.element if isinstance(kind, ArrayType) else UNKNOWN
-    return tree.Elements(raw.span, kind, [_element(body, one, of) for one in raw.elements])
+    element_type = kind.element if isinstance(kind, ArrayType) else UNKNOWN
+    return tree.Elements(raw.span, kind, [_element(body, element, element_type) for element in raw.elements])
 
 
 def _element(body: BodyContext, raw: syntax.Expr, expected: Type) -> tree.Expr:
@@ -196,11 +196,11 @@ def _called(raw: syntax.Expr) -> str:
 def _call(body: BodyContext, raw: syntax.Call) -> tree.Expr:
     function = raw.function
     if isinstance(function, syntax.Name):
-        given = _arguments(body, raw)
+        arguments = _arguments(body, raw)
         return (
             unknown(raw.span)
-            if given is None
-            else call_resolution.check_bare_call(body, raw, function, given)
+            if arguments is None
+            else call_resolution.check_bare_call(body, raw, function, arguments)
         )
     owner = evaluated(body, function.object)
     if owner.type is UNKNOWN and function.object.span.text in FOREIGN_NAMES:
@@ -209,10 +209,10 @@ def _call(body: BodyContext, raw: syntax.Call) -> tree.Expr:
         return check_sort(body, raw, owner)
     if is_future_method(body, function.name, owner):
         return check_future_method(body, raw, owner)
-    given = _arguments(body, raw)
-    if given is None:
+    arguments = _arguments(body, raw)
+    if arguments is None:
         return unknown(raw.span)
-    return call_resolution.check_member_call(body, raw, function, owner, given)
+    return call_resolution.check_member_call(body, raw, function, owner, arguments)
 
 
 def _arguments(body: BodyContext, raw: syntax.Call) -> list[tree.Expr] | None:

@@ -143,8 +143,8 @@ def _unknown_field(body: BodyContext, raw: syntax.Member, kind: Type, unit: tree
             if unit is not None and not isinstance(kind, LIBRARY_CLASSES)
             else []
         )
-        what, names = ("fields", fields) if fields else ("methods", methods)
-        known = choice(raw.name, names, f"its {what} are")
+        members, names = ("fields", fields) if fields else ("methods", methods)
+        known = choice(raw.name, names, f"its {members} are")
         hint = did_you_mean(raw.name, fields) or known
         body.report(messages.UNKNOWN_FIELD, raw.place, hint=hint, type=kind, name=raw.name, known=known)
 

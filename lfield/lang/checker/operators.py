@@ -64,7 +64,7 @@ def binary(body: BodyContext, raw: syntax.Binary, left: tree.Expr, right: tree.E
     works = works or (isinstance(kind, EnumType) and raw.operator in _ORDER)
     if kind != right.type or not works:
         return _report_operands(body, raw, left, right)
-    return _made(raw, BOOLEAN if raw.operator in _ORDER else kind, left, right)
+    return _binary_node(raw, BOOLEAN if raw.operator in _ORDER else kind, left, right)
 
 
 def _equality(body: BodyContext, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
@@ -73,7 +73,7 @@ def _equality(body: BodyContext, raw: syntax.Binary, left: tree.Expr, right: tre
     if left.type == NULL:
         left, right = right, left
     if _comparable(left.type, right.type):
-        return _made(raw, BOOLEAN, left, right)
+        return _binary_node(raw, BOOLEAN, left, right)
     hint = None
     if NULL in (left.type, right.type):
         hint = f"{left.type} is never null"
@@ -98,7 +98,7 @@ def _widened(left: tree.Expr, right: tree.Expr) -> tuple[tree.Expr, tree.Expr]:
     return left, right
 
 
-def _made(raw: syntax.Binary, kind: Type, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+def _binary_node(raw: syntax.Binary, kind: Type, left: tree.Expr, right: tree.Expr) -> tree.Expr:
     return tree.Binary(raw.span, kind, cast(tree.BinaryOp, raw.operator), left, right)
 
 

@@ -114,6 +114,6 @@ def _check_body(
 
 def _initialise(body: BodyContext, field: tree.Field, raw: syntax.Expr) -> tree.Stmt:
     """`field = value;`: the values of fields are set before any other statement."""
-    given = assigned(body, raw, field.type)
+    value = assigned(body, raw, field.type)
     target = tree.FieldGet(field.span, field.type, body.this(field.span), field)
-    return tree.Evaluate(raw.span, tree.Assign(raw.span, field.type, target, given))
+    return tree.Evaluate(raw.span, tree.Assign(raw.span, field.type, target, value))

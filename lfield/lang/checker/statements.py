@@ -42,8 +42,8 @@ _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
 
 def statements(body: BodyContext, raw: Iterable[syntax.Stmt]) -> list[tree.Stmt]:
     """Statements for the compiler; none for `;`."""
-    made = [_statement(body, one) for one in raw]
-    return [one for one in made if one is not None]
+    checked = [_statement(body, stmt) for stmt in raw]
+    return [stmt for stmt in checked if stmt is not None]
 
 
 def _statement(body: BodyContext, raw: syntax.Stmt) -> tree.Stmt | None:
@@ -95,13 +95,13 @@ def _statement(body: BodyContext, raw: syntax.Stmt) -> tree.Stmt | None:
 def _if(body: BodyContext, raw: syntax.If) -> tree.If:
     """An `if` whose `otherwise` is the next one, as often as `else if` follows."""
     ladder = [
-        *left_spine(raw, lambda one: one.otherwise if isinstance(one.otherwise, syntax.If) else None),
+        *left_spine(raw, lambda rung: rung.otherwise if isinstance(rung.otherwise, syntax.If) else None),
         raw,
     ]
-    made: list[tree.Stmt] = _branch(body, ladder[0].otherwise)
-    for one in ladder:
-        made = [tree.If(one.span, condition(body, one.condition), _branch(body, one.then), made)]
-    (first,) = made
+    branch: list[tree.Stmt] = _branch(body, ladder[0].otherwise)
+    for rung in ladder:
+        branch = [tree.If(rung.span, condition(body, rung.condition), _branch(body, rung.then), branch)]
+    (first,) = branch
     assert isinstance(first, tree.If)
     return first
 
@@ -124,9 +124,9 @@ def _loop_body(body: BodyContext, raw: syntax.Stmt) -> list[tree.Stmt]:
 def _declare(body: BodyContext, raw: syntax.Declare) -> tree.Stmt:
     """Declare a local, which is in scope after its value."""
     kind = visible_type(body.symbols, body.unit, raw.type)
-    given = None if raw.value is None else assigned(body, raw.value, kind)
+    initial = None if raw.value is None else assigned(body, raw.value, kind)
     local = body.declare(raw.name, kind, raw.place)
-    return tree.Declare(raw.span, local, given)
+    return tree.Declare(raw.span, local, initial)
 
 
 def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
@@ -137,7 +137,7 @@ def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
         return tree.Evaluate(raw.span, assignment(body, raw.value))
     found = evaluated(body, raw.value)
     if isinstance(found, tree.Async):
-        body.report(messages.FUTURE_DROPPED, raw.span, type=found.type, call=_shown(raw.span.text))
+        body.report(messages.FUTURE_DROPPED, raw.span, type=found.type, call=_call_text(raw.span.text))
         return tree.Evaluate(raw.span, unknown(raw.span))
     if (
         not isinstance(raw.value, syntax.Call | syntax.New | syntax.Async | syntax.Bad)
@@ -148,7 +148,7 @@ def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
     return tree.Evaluate(raw.span, found)
 
 
-def _shown(call: str) -> str:
+def _call_text(call: str) -> str:
     """The text of a call for a hint."""
     return call if len(call) <= 40 and "\n" not in call else "async ..."
 
@@ -158,14 +158,14 @@ def _update(body: BodyContext, raw: syntax.Assign) -> tree.Stmt:
     held: list[tree.Stmt] = []
     written = syntax.Binary(raw.span, raw.height, raw.operator[0], raw.sign, raw.target, raw.value)
     if (element := map_target(body, raw.target)) is not None:
-        given = value(body, raw.value)
+        operand = value(body, raw.value)
         element.object = _reusable(held, element.object)
         element.arguments = [_reusable(held, argument) for argument in element.arguments]
-        sum_of_both = require_type(body.symbols, binary(body, written, copy(element), given), element.type)
+        sum_of_both = require_type(body.symbols, binary(body, written, copy(element), operand), element.type)
         held.append(tree.Evaluate(raw.span, set_element(body, raw.span, element, sum_of_both)))
         return tree.BlockStmt(raw.span, held)
     place = target(body, raw.target)
-    given = value(body, raw.value)
+    operand = value(body, raw.value)
     if place is None:
         return tree.Evaluate(raw.span, unknown(raw.span))
     match place:
@@ -173,7 +173,7 @@ def _update(body: BodyContext, raw: syntax.Assign) -> tree.Stmt:
             place.object = _reusable(held, place.object)
         case tree.Element():
             place.array, place.index = _reusable(held, place.array), _reusable(held, place.index)
-    result = require_type(body.symbols, binary(body, written, copy(place), given), place.type)
+    result = require_type(body.symbols, binary(body, written, copy(place), operand), place.type)
     held.append(tree.Evaluate(raw.span, tree.Assign(raw.span, place.type, place, result)))
     return tree.BlockStmt(raw.span, held)
 
@@ -203,25 +203,25 @@ def _each(body: BodyContext, raw: syntax.Each) -> tree.Stmt:
     if isinstance(array.type, MapType):
         array = map_keys(body, array)
     kind = visible_type(body.symbols, body.unit, raw.type)
-    of = array.type.element if isinstance(array.type, ArrayType) else UNKNOWN
-    if of is UNKNOWN and array.type is not UNKNOWN:
+    element_type = array.type.element if isinstance(array.type, ArrayType) else UNKNOWN
+    if element_type is UNKNOWN and array.type is not UNKNOWN:
         body.report(messages.EACH_ARRAY, span, given=with_article(array.type))
-    elif conversion_cost(of, kind) is None:
-        body.report(messages.EACH_ELEMENT, raw.type.span, given=of, expected=with_article(kind))
-    made: list[tree.Stmt] = []
-    items = _in_hidden_local(made, array)
-    count = _in_hidden_local(made, tree.LibraryCall(span, INT, ARRAY_LENGTH, [items]))
+    elif conversion_cost(element_type, kind) is None:
+        body.report(messages.EACH_ELEMENT, raw.type.span, given=element_type, expected=with_article(kind))
+    statements_of_loop: list[tree.Stmt] = []
+    items = _in_hidden_local(statements_of_loop, array)
+    count = _in_hidden_local(statements_of_loop, tree.LibraryCall(span, INT, ARRAY_LENGTH, [items]))
     index = tree.LocalGet(span, INT, tree.Local("", INT, span))
-    made.append(tree.Declare(span, index.local, tree.Literal_(span, INT, 0)))
+    statements_of_loop.append(tree.Declare(span, index.local, tree.Literal_(span, INT, 0)))
     following = tree.Binary(span, INT, "+", index, tree.Literal_(span, INT, 1))
     body.enter()
     local = body.declare(raw.name, kind, raw.place)
-    element = widened(tree.Element(span, of, items, index), kind)
+    element = widened(tree.Element(span, element_type, items, index), kind)
     inner = [tree.Declare(raw.place, local, element), *_loop_body(body, raw.body)]
     body.leave()
     step: list[tree.Stmt] = [tree.Evaluate(span, tree.Assign(span, INT, index, following))]
-    made.append(tree.Loop(raw.span, tree.Binary(span, BOOLEAN, "<", index, count), inner, step))
-    return tree.BlockStmt(raw.span, made)
+    statements_of_loop.append(tree.Loop(raw.span, tree.Binary(span, BOOLEAN, "<", index, count), inner, step))
+    return tree.BlockStmt(raw.span, statements_of_loop)
 
 
 def _for(body: BodyContext, raw: syntax.For) -> tree.Stmt:
@@ -258,10 +258,10 @@ def _return(body: BodyContext, raw: syntax.Return) -> tree.Stmt:
             hint = _NO_RESULT_HINTS.get(method.kind)
             body.report(messages.RETURN_NOTHING, raw.value.span, hint=hint, method=name)
         return tree.Return(raw.span, None)
-    given = require_type(
+    result = require_type(
         body.symbols, value(body, raw.value), expected, messages.RETURN_MISMATCH, method=name
     )
-    return tree.Return(raw.span, given)
+    return tree.Return(raw.span, result)
 
 
 def _throw(body: BodyContext, raw: syntax.Throw) -> tree.Stmt:

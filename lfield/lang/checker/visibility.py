@@ -49,8 +49,10 @@ def visible_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: 
             return UNKNOWN
     elif unit is not None and not check_visibility(symbols, viewer, unit, written.span):
         return UNKNOWN
-    arguments = [one for one in written.arguments if one.name != "void"] if place != "portal" else []
-    parts = [visible_type(symbols, viewer, one) for one in arguments]
+    arguments = (
+        [argument for argument in written.arguments if argument.name != "void"] if place != "portal" else []
+    )
+    parts = [visible_type(symbols, viewer, argument) for argument in arguments]
     return UNKNOWN if UNKNOWN in parts else kind
 
 
@@ -130,12 +132,12 @@ def check_portal_contents(symbols: Symbols, kind: Type, span: Span) -> None:
         held, path = waiting.pop()
         element = innermost(held)
         if element == EXCEPTION:
-            why = (
+            reason = (
                 f"its field {path[1:]} is an Exception"
                 if path
                 else "an Exception may be an object of any class"
             )
-            symbols.report(messages.PORTAL_EXCEPTION, span, type=kind, why=why)
+            symbols.report(messages.PORTAL_EXCEPTION, span, type=kind, why=reason)
             return
         unit = symbols.unit_of(element)
         if unit is not None and unit.name not in visited:

@@ -69,22 +69,22 @@ def _inheritance(s: TokenStream, kind: UnitKind, name: str) -> None:
         raise SyntaxRecovery
 
 
-def members(s: TokenStream, made: Unit, opening: Span) -> None:
+def members(s: TokenStream, owner: Unit, opening: Span) -> None:
     """The members of a unit up to its `}`, added to it; `opening` is reported when that is missing."""
     while not s.accept("}"):
         if s.at_end() or (s.at(*UNIT_KEYWORDS) and s.first_on_line()):
             s.report(messages.UNCLOSED_BRACE, s.suspect or opening)
-            made.broken = True
+            owner.broken = True
             return
         s.set_suspect(None)
 
         def parse() -> None:
-            _member(s, made)
+            _member(s, owner)
 
         try:
-            made.broken |= not s.attempt(parse, s.skip_member)
+            owner.broken |= not s.attempt(parse, s.skip_member)
         except UnclosedBrace:
-            made.broken = True
+            owner.broken = True
             if s.at_end() or s.at(*UNIT_KEYWORDS):
                 return
 
@@ -104,17 +104,17 @@ class _Modifiers:
     """The words before a member, each with its place."""
 
     def __init__(self) -> None:
-        self.given: dict[str, Token] = {}
+        self.tokens: dict[str, Token] = {}
         self.portal = False
         self.foreign = False
 
     @property
     def public(self) -> bool:
-        return "public" in self.given
+        return "public" in self.tokens
 
     @property
     def synchronized(self) -> bool:
-        return "synchronized" in self.given
+        return "synchronized" in self.tokens
 
     @property
     def missing(self) -> bool:
@@ -123,7 +123,7 @@ class _Modifiers:
 
     @property
     def access(self) -> Token | None:
-        return self.given.get("public") or self.given.get("private")
+        return self.tokens.get("public") or self.tokens.get("private")
 
 
 def _modifiers(s: TokenStream) -> _Modifiers:
@@ -137,7 +137,7 @@ def _modifiers(s: TokenStream) -> _Modifiers:
             s.advance()
             found.foreign = True
         elif keyword in _MODIFIERS:
-            found.given[keyword] = s.advance()
+            found.tokens[keyword] = s.advance()
         elif keyword == "portal":
             s.advance()
             found.portal = True
@@ -180,24 +180,24 @@ def function(s: TokenStream, found: list[Method]) -> None:
         method.broken = True
 
 
-def _member(s: TokenStream, made: Unit) -> None:
+def _member(s: TokenStream, owner: Unit) -> None:
     if s.accept(";"):
         return
     modifiers = _modifiers(s)
     if modifiers.portal:
-        return _portal(s, made, modifiers)
+        return _portal(s, owner, modifiers)
     if s.at("init"):
-        return _init(s, made, modifiers)
+        return _init(s, owner, modifiers)
     if at_loop(s):
-        for token in modifiers.given.values():
+        for token in modifiers.tokens.values():
             _unwanted(s, token, "a loop", "")
-        return loop_member(s, made)
+        return loop_member(s, owner)
     if at_misplaced_portal(s):
         result = misplaced_portal(s, "synchronized " if modifiers.synchronized else "")
-        return _named_portal(s, made, modifiers, result, modifiers.synchronized)
+        return _named_portal(s, owner, modifiers, result, modifiers.synchronized)
     _foreign_member(s)
     if s.at_name() and s.ahead(1).text == "(":
-        return _without_result(s, made, modifiers)
+        return _without_result(s, owner, modifiers)
     if not (s.at_name() or s.at("boolean", "int", "real", "string", "void")):
         raise s.fail(messages.EXPECTED_MEMBER, found=s.current)
     if s.at_name() and not (s.ahead(1).text.isidentifier() or s.ahead(1).text in AFTER_TYPE):
@@ -209,9 +209,9 @@ def _member(s: TokenStream, made: Unit) -> None:
         if modifiers.missing:
             text = f"{declared} {name.text}(...)"
             s.report(messages.MISSING_MODIFIER, declared.span, what="a method", text=text)
-        _body(s, made, method)
+        _body(s, owner, method)
     else:
-        _field(s, made, modifiers, declared, name)
+        _field(s, owner, modifiers, declared, name)
 
 
 def _foreign_member(s: TokenStream) -> None:
@@ -236,22 +236,22 @@ def _foreign_member(s: TokenStream) -> None:
         raise s.fail(messages.FOREIGN_KEYWORD, keyword=keyword, instead=instead)
 
 
-def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName, name: Token) -> None:
+def _field(s: TokenStream, owner: Unit, modifiers: _Modifiers, declared: TypeName, name: Token) -> None:
     if declared.name == "void":
         s.report(messages.VOID_VALUE_TYPE, declared.span, what="a field")
         declared.name = BAD_TYPE
     access = modifiers.access
-    if made.kind == "class" and modifiers.missing:
+    if owner.kind == "class" and modifiers.missing:
         text = f"{declared} {name.text};"
         s.report(messages.MISSING_MODIFIER, declared.span, what="a field of a class", text=text)
-    elif made.kind != "class" and access is not None:
-        what = f"a field of a {made.kind}"
-        _unwanted(s, access, what, ": only its own methods reach it anyway")
+    elif owner.kind != "class" and access is not None:
+        description = f"a field of a {owner.kind}"
+        _unwanted(s, access, description, ": only its own methods reach it anyway")
     if modifiers.synchronized:
-        _unwanted(s, modifiers.given["synchronized"], "a field", "")
+        _unwanted(s, modifiers.tokens["synchronized"], "a field", "")
     misplaced_brackets(s, declared, name.text)
     field = Field(declared, name.text, modifiers.public, None, name.span)
-    made.fields.append(field)
+    owner.fields.append(field)
     field.value = initial_value(s, declared)
     if at_walrus(s):
         raise walrus(s)
@@ -260,16 +260,16 @@ def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName
     s.semicolon()
 
 
-def _portal(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
-    for keyword, token in modifiers.given.items():
+def _portal(s: TokenStream, owner: Unit, modifiers: _Modifiers) -> None:
+    for keyword, token in modifiers.tokens.items():
         place = ", or write portal synchronized" if keyword == "synchronized" else ": every portal is public"
         _unwanted(s, token, "a portal", place)
     synchronized = s.accept("synchronized")
-    _named_portal(s, made, modifiers, misplaced_result(s), synchronized)
+    _named_portal(s, owner, modifiers, misplaced_result(s), synchronized)
 
 
 def _named_portal(
-    s: TokenStream, made: Unit, modifiers: _Modifiers, result: TypeName | None, synchronized: bool
+    s: TokenStream, owner: Unit, modifiers: _Modifiers, result: TypeName | None, synchronized: bool
 ) -> None:
     """A portal; the stream is at its name."""
     name = s.expect_name("the name of the portal")
@@ -277,7 +277,7 @@ def _named_portal(
     method.synchronized = synchronized
     if s.accept("emit"):
         method.result = type_name(s, "an emit")
-    _body(s, made, method)
+    _body(s, owner, method)
 
 
 def _foreign_ending(s: TokenStream, method: Method) -> None:
@@ -303,42 +303,44 @@ def _foreign_ending(s: TokenStream, method: Method) -> None:
             s.advance()
 
 
-def _init(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
-    for token in modifiers.given.values():
+def _init(s: TokenStream, owner: Unit, modifiers: _Modifiers) -> None:
+    for token in modifiers.tokens.values():
         _unwanted(s, token, "init", ": only the machine calls it")
-    _body(s, made, _method(s, "init", s.advance(), modifiers, None))
+    _body(s, owner, _method(s, "init", s.advance(), modifiers, None))
 
 
-def _without_result(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
+def _without_result(s: TokenStream, owner: Unit, modifiers: _Modifiers) -> None:
     """A constructor, or a method whose result type was forgotten."""
     name = s.advance()
-    if made.kind != "class" or name.text != made.name:
-        close = closest(name.text, ("init",)) if made.kind != "class" else None
+    if owner.kind != "class" or name.text != owner.name:
+        close = closest(name.text, ("init",)) if owner.kind != "class" else None
         hint = f"did you mean '{close}'?" if close else None
-        if made.kind != "class" and name.text in (made.name, "__init__"):
-            hint = f"a {made.kind} starts in init: init(string[] arg) {{ ... }}"
+        if owner.kind != "class" and name.text in (owner.name, "__init__"):
+            hint = f"a {owner.kind} starts in init: init(string[] arg) {{ ... }}"
         s.report(messages.CONSTRUCTOR_NAME, name.span, hint=hint, name=name.text)
         method = _method(s, "method", name, modifiers, TypeName(name.span, BAD_TYPE))
-        _body(s, made, method)
+        _body(s, owner, method)
         return
     if modifiers.missing:
         s.report(messages.MISSING_MODIFIER, name.span, what="a constructor", text=f"{name.text}(...)")
     if modifiers.synchronized:
-        _unwanted(s, modifiers.given["synchronized"], "a constructor", ": no other thread has the object yet")
-    _body(s, made, _method(s, "constructor", name, modifiers, None))
+        _unwanted(
+            s, modifiers.tokens["synchronized"], "a constructor", ": no other thread has the object yet"
+        )
+    _body(s, owner, _method(s, "constructor", name, modifiers, None))
 
 
-def _unwanted(s: TokenStream, token: Token, what: str, reason: str) -> None:
-    s.report(messages.UNWANTED_MODIFIER, token.span, what=what, keyword=token.text, reason=reason)
+def _unwanted(s: TokenStream, token: Token, description: str, reason: str) -> None:
+    s.report(messages.UNWANTED_MODIFIER, token.span, what=description, keyword=token.text, reason=reason)
 
 
 def _method(
     s: TokenStream, kind: MethodKind, name: Token, modifiers: _Modifiers, result: TypeName | None
 ) -> Method:
     """A method without its body; the stream is at the parameters."""
-    given = _parameters(s)
+    parameters = _parameters(s)
     public = modifiers.public or kind in ("init", "portal")
-    return Method(kind, name.text, given, result, public, modifiers.synchronized, name.span)
+    return Method(kind, name.text, parameters, result, public, modifiers.synchronized, name.span)
 
 
 def _parameters(s: TokenStream) -> list[ParameterDecl]:
@@ -372,9 +374,9 @@ def _parameter(s: TokenStream) -> ParameterDecl:
     return ParameterDecl(declared, name.text, name.span)
 
 
-def _body(s: TokenStream, made: Unit, method: Method) -> None:
+def _body(s: TokenStream, owner: Unit, method: Method) -> None:
     """Parse the body of a method and add the method to the unit, even if the body is wrong."""
-    made.methods.append(method)
+    owner.methods.append(method)
     before = s.reset_broken()
     try:
         _foreign_ending(s, method)

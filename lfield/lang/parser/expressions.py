@@ -102,7 +102,7 @@ def expression(s: TokenStream) -> Expr:
         return left
 
 
-def _elements(s: TokenStream, start: Span, made: TypeName | None) -> Expr:
+def _elements(s: TokenStream, start: Span, element_type: TypeName | None) -> Expr:
     """`{a, {b, c}}`."""
     opening = s.advance()
     found: list[Expr] = []
@@ -117,8 +117,8 @@ def _elements(s: TokenStream, start: Span, made: TypeName | None) -> Expr:
                 s.accept("}")
                 raise SyntaxRecovery
     s.close("}", opening)
-    height = 1 + max((one.height for one in found), default=0)
-    return s.bounded(Elements(start.to(s.previous.span), height, made, found))
+    height = 1 + max((element.height for element in found), default=0)
+    return s.bounded(Elements(start.to(s.previous.span), height, element_type, found))
 
 
 def parenthesised(s: TokenStream, hint: str | None = None) -> Expr:
@@ -274,9 +274,9 @@ def _call(s: TokenStream, function: Expr) -> Expr:
         raise s.fail(messages.NOT_A_CALL)
     if isinstance(function, Name):
         s.called.add(function.name)
-    given = arguments(s)
-    height = max([function.height, *(1 + a.height for a in given)])
-    return Call(function.span.to(s.previous.span), height, function, given)
+    call_arguments = arguments(s)
+    height = max([function.height, *(1 + a.height for a in call_arguments)])
+    return Call(function.span.to(s.previous.span), height, function, call_arguments)
 
 
 def _primary(s: TokenStream) -> Expr:
@@ -337,32 +337,36 @@ def _new(s: TokenStream) -> Expr:
     start = s.advance().span
     if s.at("void"):
         raise s.fail(messages.VOID_VALUE_TYPE, what="new")
-    made = element_name(s, "a type after new")
+    created_type = element_name(s, "a type after new")
     if s.at("("):
-        given = arguments(s)
-        height = 1 + max((a.height for a in given), default=0)
-        return s.bounded(New(start.to(s.previous.span), height, made, given))
+        call_arguments = arguments(s)
+        height = 1 + max((a.height for a in call_arguments), default=0)
+        return s.bounded(New(start.to(s.previous.span), height, created_type, call_arguments))
     if not s.at("["):
-        hint = f"write new {made}[10]; only classes have constructors" if made.name in PRIMITIVES else None
-        raise s.fail(messages.NEW_NEEDS, hint=hint, type=made)
-    return _new_array(s, start, made)
+        hint = (
+            f"write new {created_type}[10]; only classes have constructors"
+            if created_type.name in PRIMITIVES
+            else None
+        )
+        raise s.fail(messages.NEW_NEEDS, hint=hint, type=created_type)
+    return _new_array(s, start, created_type)
 
 
-def _new_array(s: TokenStream, start: Span, made: TypeName) -> Expr:
+def _new_array(s: TokenStream, start: Span, element_type: TypeName) -> Expr:
     if s.ahead(1).text == "]":
-        brackets(s, made)
+        brackets(s, element_type)
         if s.at("{"):
-            return _elements(s, start, made)
-        raise s.fail(messages.ARRAY_LENGTH_MISSING, type=made.name)
+            return _elements(s, start, element_type)
+        raise s.fail(messages.ARRAY_LENGTH_MISSING, type=element_type.name)
     lengths: list[Expr] = []
     while s.at("[") and s.ahead(1).text != "]":
         opening = s.advance()
         lengths.append(expression(s))
         s.close("]", opening)
-    made.dimensions = len(lengths)
-    brackets(s, made)
+    element_type.dimensions = len(lengths)
+    brackets(s, element_type)
     height = 1 + max(length.height for length in lengths)
-    return s.bounded(NewArray(start.to(s.previous.span), height, made, lengths))
+    return s.bounded(NewArray(start.to(s.previous.span), height, element_type, lengths))
 
 
 def _ternary(s: TokenStream, condition: Expr) -> Expr:

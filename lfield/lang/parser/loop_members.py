@@ -26,14 +26,14 @@ def at_loop(s: TokenStream) -> bool:
     return is_nameless or (s.ahead(1).kind is TokenKind.NAME and s.ahead(2).text in (*LOOP_WORDS, "{"))
 
 
-def loop_member(s: TokenStream, made: Unit) -> None:
+def loop_member(s: TokenStream, owner: Unit) -> None:
     """A loop, added to its unit as a method."""
     s.advance()
     if s.at(*RATES) and s.ahead(1).text not in LOOP_WORDS:
         raise s.fail(messages.EXPECTED_NAME, what="the name of the loop", found=s.current)
     name = s.expect_name("the name of the loop")
     method = Method("loop", name.text, [], None, False, False, name.span)
-    made.methods.append(method)
+    owner.methods.append(method)
     before = s.reset_broken()
     try:
         method.loop = _head(s, name.text)
@@ -47,10 +47,10 @@ def loop_member(s: TokenStream, made: Unit) -> None:
 def _head(s: TokenStream, name: str) -> LoopHead:
     if not s.at(*RATES):
         raise s.fail(messages.LOOP_RATE, name=name)
-    every = s.advance().text == "every"
+    is_periodic = s.advance().text == "every"
     if s.at("{"):
         raise s.fail(messages.LOOP_RATE, name=name)
-    head = LoopHead(expression(s), every)
+    head = LoopHead(expression(s), is_periodic)
     while s.at(PRIORITY, WHEN):
         if s.at(PRIORITY) and head.place is None:
             s.advance()

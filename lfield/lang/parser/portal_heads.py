@@ -70,8 +70,8 @@ def misplaced_portal(s: TokenStream, modifier: str) -> TypeName | None:
     if has_type and result.name == BAD_TYPE:
         return result  # The type is reported.
     is_void = result.name == "void"
-    ending = "" if is_void else f" emit {result if has_type else '...'}"
-    hint = f"write portal {modifier}{s.current.text}(...){ending}"
+    result_text = "" if is_void else f" emit {result if has_type else '...'}"
+    hint = f"write portal {modifier}{s.current.text}(...){result_text}"
     if is_emit:
         s.report(messages.EXPECTED_MEMBER, first.span, hint=hint, found=first)
     else:

@@ -197,9 +197,9 @@ def _for(s: TokenStream) -> Stmt:
             s.advance()
         s.accept(")")
 
-    well = s.attempt(head, skip)
-    loop.body = _body(s, where, None if well else Bad(where, 1))
-    return loop if well else BadStmt(where)
+    is_parsed = s.attempt(head, skip)
+    loop.body = _body(s, where, None if is_parsed else Bad(where, 1))
+    return loop if is_parsed else BadStmt(where)
 
 
 def _break(s: TokenStream) -> Stmt:
@@ -266,11 +266,11 @@ def _catch_clause(s: TokenStream) -> list[Catch]:
         found.append(Catch(caught, name.text, name.span, Empty(opening.span)))
         s.close(")", opening)
 
-    well = s.attempt(head, lambda: s.skip_parentheses(1))
+    is_parsed = s.attempt(head, lambda: s.skip_parentheses(1))
     body = statement(s)
     for clause in found:
         clause.body = body
-    return found if well else []
+    return found if is_parsed else []
 
 
 def _together(s: TokenStream) -> Stmt:
@@ -286,8 +286,8 @@ def _within(s: TokenStream) -> Stmt:
 
 def _reserve(s: TokenStream) -> Stmt:
     token = s.advance()
-    who = parenthesised(s, "write the resource in parentheses: reserve (arm) { ... }")
-    return Reserve(token.span, who, _braced(s, token, who))
+    resource = parenthesised(s, "write the resource in parentheses: reserve (arm) { ... }")
+    return Reserve(token.span, resource, _braced(s, token, resource))
 
 
 def _finally(s: TokenStream) -> Stmt:

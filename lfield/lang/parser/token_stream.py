@@ -94,11 +94,11 @@ class TokenStream:
         """Whether a block or a statement begins in the parentheses after the word here: a `)` is missing."""
         ahead, depth = 1, 0
         while (depth := depth + {"(": 1, ")": -1}.get(self.ahead(ahead).text, 0)) > 0:
-            left, ahead = self.ahead(ahead), ahead + 1
+            token, ahead = self.ahead(ahead), ahead + 1
             right = self.ahead(ahead)
             # `new int[] {` begins the elements of an array.
-            is_index = left.text == "]" and self.ahead(ahead - 2).text != "["
-            is_operand = left.kind in _OPERANDS or left.text in _OPERAND_ENDS or is_index
+            is_index = token.text == "]" and self.ahead(ahead - 2).text != "["
+            is_operand = token.kind in _OPERANDS or token.text in _OPERAND_ENDS or is_index
             if is_operand and (right.text == "{" or right.kind in (TokenKind.NAME, TokenKind.KEYWORD)):
                 return True
             if right.kind is TokenKind.END or right.text == ";":
@@ -128,12 +128,12 @@ class TokenStream:
             raise self.fail(messages.EXPECTED_SYMBOL, what=f"'{text}'", found=self.current)
         return self.advance()
 
-    def expect_name(self, what: str, hint: str | None = None) -> Token:
+    def expect_name(self, description: str, hint: str | None = None) -> Token:
         """Take a name, or fail."""
         if self.current.kind is TokenKind.KEYWORD:
             raise self.fail(messages.RESERVED_NAME, keyword=self.current.text)
         if not self.at_name():
-            raise self.fail(messages.EXPECTED_NAME, hint=hint, what=what, found=self.current)
+            raise self.fail(messages.EXPECTED_NAME, hint=hint, what=description, found=self.current)
         return self.advance()
 
     def semicolon(self, hint: str | None = None) -> None:

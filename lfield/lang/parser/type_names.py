@@ -35,12 +35,12 @@ def at_declaration(s: TokenStream) -> bool:
     return s.at_name() and (next_is_name or is_array or is_sized or at_foreign_type(s))
 
 
-def element_name(s: TokenStream, what: str = "a type") -> TypeName:
+def element_name(s: TokenStream, use: str = "a type") -> TypeName:
     """The name of a type without its `[]`."""
     if s.at(*PRIMITIVES, "void"):
         token = s.advance()
     else:
-        token = s.expect_name(what)
+        token = s.expect_name(use)
     named = TypeName(token.span, token.text)
     if token.text in GENERIC_TYPES and s.at("<") and type_arguments_end(s, 0):
         _arguments(s, named)
@@ -60,13 +60,13 @@ def at_generic(s: TokenStream, *, declared: bool = False) -> bool:
 
 def _arguments(s: TokenStream, named: TypeName) -> None:
     """`<K, V>`. The result type of a future may be void."""
-    what = GENERIC_TYPES[named.name]
+    use = GENERIC_TYPES[named.name]
     s.expect("<")
     with s.nested():
         is_result = named.name == "future"
-        found = [result_type(s) if is_result else type_name(s, what)]
+        found = [result_type(s) if is_result else type_name(s, use)]
         while s.accept(","):
-            found.append(type_name(s, what))
+            found.append(type_name(s, use))
     s.close_angle()
     named.arguments = tuple(found)
     named.span = named.span.to(s.previous.span)

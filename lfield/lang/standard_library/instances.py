@@ -128,8 +128,8 @@ class LibraryUses(Struct):
         source = self.source(_text_of(kind))
         written = parse_file(source, Diagnostics()).units[0]
         unit = tree.Unit(kind.name, "class", usage, written.span)
-        for number, one in enumerate(written.fields):
-            unit.add_field(tree.Field(one.name, resolve(one.type), number, one.public, one.span))
+        for number, each in enumerate(written.fields):
+            unit.add_field(tree.Field(each.name, resolve(each.type), number, each.public, each.span))
         for head in written.methods:
             method = tree.Method(
                 head.name,

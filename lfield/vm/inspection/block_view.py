@@ -105,7 +105,7 @@ def fields_of(block: Block, program: Program, place: int, members: Sequence[str]
 
 def value_text(block: Block, program: Program, kind: int, word: int, members: Sequence[str] = ()) -> str:
     """A value of a type (by index), one level deep."""
-    return _Decoder(block, program, members).shown(kind, word)
+    return _Decoder(block, program, members).value_text(kind, word)
 
 
 def _field_types(program: Program, place: int, block: Block) -> list[int]:
@@ -160,7 +160,7 @@ class _Decoder:
         record = core.classes[w[layout.W_CLASS]]
         own = w[layout.W_SELF]
         fields = tuple(
-            (f.name, self.shown(f.type, w[own + 1 + i])) for i, f in enumerate(record.fields) if own
+            (f.name, self.value_text(f.type, w[own + 1 + i])) for i, f in enumerate(record.fields) if own
         )
         return BlockView(
             self.block.text(w[layout.W_ID]),
@@ -181,8 +181,8 @@ class _Decoder:
         for at in stack(self.block, self.program, place):
             method = self.program.core.methods[at.method]
             names = self.program.debug.methods[at.method].names if self.program.debug.methods else ()
-            shown = tuple(
-                (name, self.shown(method.slots[slot], w[at.frame + FRAME_SLOTS + slot]))
+            local_texts = tuple(
+                (name, self.value_text(method.slots[slot], w[at.frame + FRAME_SLOTS + slot]))
                 for slot, name in names
             )
             frames.append(
@@ -191,7 +191,7 @@ class _Decoder:
                     at.file,
                     at.line,
                     self.source(at.method, at.line),
-                    shown,
+                    local_texts,
                     tuple(self.calls(method, at.frame)),
                     tuple(self.reserved(method, at.frame)),
                 )
@@ -235,7 +235,7 @@ class _Decoder:
         text = self.program.debug.sources[self.program.debug.methods[method].source].text.splitlines()
         return escape_line(text[line - 1].strip()) if line <= len(text) else ""
 
-    def shown(self, kind: int, word: int, inner: bool = False) -> str:
+    def value_text(self, kind: int, word: int, inner: bool = False) -> str:
         """A value of a type (by index), one level deep."""
         record = self.program.core.types[kind]
         if record.kind == BOOLEAN:
@@ -294,7 +294,9 @@ class _Decoder:
         if inner:
             return f"{name}[{len(found)}] @{word}"
         key, value = entry_types(self.program, self.block.w[word] >> 8 & 0xFFFFFF)
-        parts = [f"{self.shown(key, k)}: {self.shown(value, v, True)}" for k, v in found[:SHOWN_PARTS]]
+        parts = [
+            f"{self.value_text(key, k)}: {self.value_text(value, v, True)}" for k, v in found[:SHOWN_PARTS]
+        ]
         if len(found) > SHOWN_PARTS:
             parts.append("…")
         return f"{name}[{len(found)}] @{word} {{{', '.join(parts)}}}"
@@ -303,7 +305,7 @@ class _Decoder:
         """The first elements or fields of an object, of these types."""
         w = self.block.w
         first, _ = layout.elements(w, word)
-        parts = [self.shown(k, w[first + i], True) for i, k in enumerate(kinds[:SHOWN_PARTS])]
+        parts = [self.value_text(k, w[first + i], True) for i, k in enumerate(kinds[:SHOWN_PARTS])]
         if len(kinds) > SHOWN_PARTS:
             parts.append("…")
         return f"{{{', '.join(parts)}}}"

@@ -207,17 +207,17 @@ class Block:
         self.w[place + GROWABLE_ARRAY] = self.allocate(ARRAY, plain, 1 + length)
         return place
 
-    def insert_element(self, place: int, at: int, word: int, most: int) -> None:
+    def insert_element(self, place: int, at: int, word: int, maximum: int) -> None:
         """Insert an element into a growable array, before the element at an index, which is at most the
         length.
 
-        If the array is full, its elements move to an ARRAY with half as many more, at most `most`: an
+        If the array is full, its elements move to an ARRAY with half as many more, at most `maximum`: an
         insertion at the end takes a constant time on average. Raises HeapFull before any write.
         """
         w = self.w
         array, length = w[place + GROWABLE_ARRAY], w[place + GROWABLE_LENGTH]
         if length + 1 >= w[array] >> 32:
-            capacity = min(length + (length >> 1) + LEAST_GROWTH, most)
+            capacity = min(length + (length >> 1) + LEAST_GROWTH, maximum)
             larger = self.allocate(ARRAY, w[array] >> 8 & 0xFFFFFF, 1 + capacity)
             w[larger + 1 : larger + 1 + length] = w[array + 1 : array + 1 + length]
             w[place + GROWABLE_ARRAY] = array = larger

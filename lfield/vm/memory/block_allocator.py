@@ -81,10 +81,10 @@ class HeapAllocator:
 
     def resize(self, data: Buffer, size: int) -> Buffer:
         if not isinstance(data, bytearray):
-            made = bytearray(size)
+            copy = bytearray(size)
             copied = min(size, len(data))
-            made[:copied] = data[:copied]
-            return made
+            copy[:copied] = data[:copied]
+            return copy
         data.extend(bytes(max(0, size - len(data))))
         del data[size:]
         return data

@@ -87,8 +87,8 @@ class BlockVerifier:
         classes = self.program.core.classes
         return frozenset(
             number
-            for number, of in enumerate(self.schema.members)
-            if of >= 0 and classes[of].kind == "resource"
+            for number, member_class in enumerate(self.schema.members)
+            if member_class >= 0 and classes[member_class].kind == "resource"
         )
 
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:

@@ -39,8 +39,8 @@ def collect(block: Block, layouts: Layouts, free_words: int = 0) -> None:
     # The size of the block rarely changes afterwards.
     data, top = _compact(block, layouts, 8 * size)
     target_words = max(INITIAL_WORDS, min(2 * size, MAX_GROWTH_WORDS), 2 * (top + free_words))
-    most = block.limit if top + free_words <= block.limit else block.limit + RESERVE_WORDS
-    words = max(top, min(target_words, most))
+    maximum = block.limit if top + free_words <= block.limit else block.limit + RESERVE_WORDS
+    words = max(top, min(target_words, maximum))
     block.replace(block.space.resize(data, 8 * words), top)
 
 
@@ -56,13 +56,13 @@ def compact(block: Block, layouts: Layouts) -> None:
     block.replace(data if len(data) <= 8 * top + MAX_SPARE_BYTES else block.space.resize(data, 8 * top), top)
 
 
-def _compact(block: Block, layouts: Layouts, least: int = 0) -> tuple[Buffer, int]:
+def _compact(block: Block, layouts: Layouts, minimum: int = 0) -> tuple[Buffer, int]:
     """A copy of the block with live data only, and its top. Destroys the block's own bytes.
 
-    The copy has space for `least` bytes, and the header of this version, in which new words are 0.
+    The copy has space for `minimum` bytes, and the header of this version, in which new words are 0.
     """
     old = block.w
-    data = block.space.allocate(max(least, 8 * (block.top + HEADER_WORDS - block.heap)))
+    data = block.space.allocate(max(minimum, 8 * (block.top + HEADER_WORDS - block.heap)))
     new = memoryview(data).cast("q")
     new[: block.heap] = old[: block.heap]
     new[block.heap : HEADER_WORDS] = _NEW_WORDS[block.heap :]

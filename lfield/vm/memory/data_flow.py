@@ -14,7 +14,7 @@ from typing import NamedTuple
 class Edge(NamedTuple):
     """An edge to a node, by number, that passes the bits in `through`."""
 
-    to: int
+    target: int
     through: int
 
 
@@ -33,7 +33,7 @@ def solve(nodes: Sequence[Node]) -> list[int]:
     for place, number in enumerate(order):
         rank[number] = place
         for edge in nodes[number].edges:
-            before[edge.to].append(place)
+            before[edge.target].append(place)
     sets = [0] * len(nodes)
     waiting, is_waiting = list(range(len(nodes))), [True] * len(nodes)
     while waiting:
@@ -41,8 +41,8 @@ def solve(nodes: Sequence[Node]) -> list[int]:
         is_waiting[place] = False
         number = order[place]
         found = nodes[number].own
-        for to, through in nodes[number].edges:
-            found |= sets[to] & through
+        for target, through in nodes[number].edges:
+            found |= sets[target] & through
         if found != sets[number]:
             sets[number] = found
             for other in before[number]:
@@ -63,10 +63,10 @@ def _postorder(nodes: Sequence[Node]) -> list[int]:
         path = [(first, iter(nodes[first].edges))]
         while path:
             number, edges = path[-1]
-            for to, _ in edges:
-                if not visited[to]:
-                    visited[to] = True
-                    path.append((to, iter(nodes[to].edges)))
+            for target, _ in edges:
+                if not visited[target]:
+                    visited[target] = True
+                    path.append((target, iter(nodes[target].edges)))
                     break
             else:
                 order.append(number)

@@ -150,14 +150,16 @@ class SuspensionPoints:
         self.schema, self.program = schema, schema.program
         core = self.program.core
         #: The classes of coordinators.
-        self.coordinators = frozenset(i for i, of in enumerate(core.classes) if of.kind == "coordinator")
+        self.coordinators = frozenset(
+            i for i, record in enumerate(core.classes) if record.kind == "coordinator"
+        )
         #: The instructions for the youngest frame: the first of each migrating group.
         self.portal_calls = self._portal_calls()
         #: The called method, by instruction.
         self.calls = {pc: quad.a for pc, quad in enumerate(self.program.quads) if quad.op == _CALL}
         #: The methods that reserve resources.
         self.reserve = frozenset(
-            i for i, of in enumerate(core.methods) if any(row.kind == RESERVED for row in of.handlers)
+            i for i, method in enumerate(core.methods) if any(row.kind == RESERVED for row in method.handlers)
         )
 
     def _portal_calls(self) -> frozenset[int]:

@@ -97,8 +97,8 @@ class LiveSlots:
         block = self._at(pc)
         reads, unwritten = self._through(pc, self._ends[block])
         after = 0
-        for to in self._successors(block):
-            after |= self._sets[to]
+        for successor in self._successors(block):
+            after |= self._sets[successor]
         return reads | after & unwritten | self._sets[self._handler_nodes[block]]
 
     def live_in_handlers(self, pc: int) -> int:
@@ -111,7 +111,7 @@ class LiveSlots:
 
     def _block(self, block: int) -> Node:
         reads, unwritten = self._through(self._starts[block], self._ends[block])
-        edges = [Edge(to, unwritten) for to in self._successors(block)]
+        edges = [Edge(successor, unwritten) for successor in self._successors(block)]
         return Node(reads, [*edges, Edge(self._handler_nodes[block], _ALL)])
 
     def _handler(self, handler: Handler) -> Edge:

@@ -97,7 +97,7 @@ def encode_device_value(block: Block, program: Program, kind: int, value: Device
         word = _number(record.kind, value)
     if word is None:
         raise DeviceError(
-            device, f"its driver returned {_shown(value)}, but its manifest states another type"
+            device, f"its driver returned {_value_text(value)}, but its manifest states another type"
         )
     return word
 
@@ -105,8 +105,8 @@ def encode_device_value(block: Block, program: Program, kind: int, value: Device
 def _array_for(block: Block, program: Program, kind: int, values: Sequence[object]) -> int | None:
     """An array of numbers on the heap, None if a value has another type. Raises HeapFull."""
     core = program.core
-    of = core.types[core.element(kind)].kind
-    words = [word for value in values if (word := _number(of, value)) is not None]
+    element_kind = core.types[core.element(kind)].kind
+    words = [word for value in values if (word := _number(element_kind, value)) is not None]
     if len(words) < len(values):
         return None
     place = block.new_array(kind, core.plain_array(kind), len(words))
@@ -129,7 +129,7 @@ def _number(kind: int, value: object) -> int | None:
         return None
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     """A value in Python's notation, truncated."""
     try:
         text = repr(value)

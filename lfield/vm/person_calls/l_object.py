@@ -37,33 +37,33 @@ class LObject:
         raise AttributeError(f"an LObject cannot be changed: create another {self.class_name}")
 
     def __eq__(self, other: object) -> bool:
-        return _same(self, other) if isinstance(other, LObject) else NotImplemented
+        return _is_equal(self, other) if isinstance(other, LObject) else NotImplemented
 
     def __hash__(self) -> int:
         return hash((self.class_name, *self.fields))
 
     def __repr__(self) -> str:
-        return _shown(self, SHOWN_DEPTH)
+        return _text(self, SHOWN_DEPTH)
 
 
-def _shown(value: object, depth: int) -> str:
+def _text(value: object, depth: int) -> str:
     if isinstance(value, list):
         more = [] if depth and len(value) <= SHOWN_ELEMENTS else ["..."]
         first = value[:SHOWN_ELEMENTS] if depth else []
-        return f"[{', '.join([*(_shown(each, depth - 1) for each in first), *more])}]"
+        return f"[{', '.join([*(_text(each, depth - 1) for each in first), *more])}]"
     if not isinstance(value, LObject):
         return repr(value)
     if not depth:
         return f"{value.class_name}(...)"
-    fields = (f"{name}={_shown(field, depth - 1)}" for name, field in value.fields.items())
+    fields = (f"{name}={_text(field, depth - 1)}" for name, field in value.fields.items())
     return f"{value.class_name}({', '.join(fields)})"
 
 
-def _same(one: object, other: object) -> bool:
+def _is_equal(first: object, second: object) -> bool:
     """Whether two values are equal. Pairs under comparison count as equal, because of cycles. The depth is
     not limited.
     """
-    pairs, visited = [(one, other)], set[tuple[int, int]]()
+    pairs, visited = [(first, second)], set[tuple[int, int]]()
     while pairs:
         left, right = pairs.pop()
         if left is right or (id(left), id(right)) in visited:

@@ -61,7 +61,7 @@ class PersonPortals:
                 mistakes.append(f"its number of parameters is {len(kinds)}, not {len(arguments)}")
                 continue
             try:
-                made = [
+                encoded = [
                     EncodedValue(self._scheduler.program, kind, value)
                     for kind, value in zip(kinds, arguments, strict=True)
                 ]
@@ -73,7 +73,7 @@ class PersonPortals:
                 types[kind].kind == REAL and type(value) is int
                 for kind, value in zip(kinds, arguments, strict=True)
             )
-            fitting.append((widened, method, made))
+            fitting.append((widened, method, encoded))
         if not named:
             raise PortalMismatch(f"{resource.member.type} has no portal {portal}()", has_portal=False)
         if not fitting:

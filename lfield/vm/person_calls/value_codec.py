@@ -52,10 +52,10 @@ def _object(code: int, data: memoryview) -> LObject:
     name, fields = msgspec.msgpack.decode(data, ext_hook=_object)
     if not isinstance(name, str) or not isinstance(fields, dict) or not all(map(_is_text, fields)):
         raise ValueError("an object has a class and fields with names")
-    made = LObject(name)
-    assert isinstance(made.fields, dict)
-    made.fields.update(fields)
-    return made
+    value = LObject(name)
+    assert isinstance(value.fields, dict)
+    value.fields.update(fields)
+    return value
 
 
 def _is_text(value: object) -> bool:
@@ -66,14 +66,14 @@ class _Encoding:
     """Counts the values of one message."""
 
     def __init__(self) -> None:
-        self._left = MAX_VALUES
+        self._remaining = MAX_VALUES
 
     def plain(self, value: object, depth: int) -> object:
         """The value in types of msgpack. Raises UnsendableValue."""
-        self._left -= 1
+        self._remaining -= 1
         if depth > MAX_DEPTH:
             raise UnsendableValue(f"values are nested more than {MAX_DEPTH} deep, or contain themselves")
-        if self._left < 0:
+        if self._remaining < 0:
             raise UnsendableValue(f"there are more than {MAX_VALUES} values")
         match value:
             case None | bool() | int() | float() | str():

@@ -85,7 +85,7 @@ class _Reader:
 
     def __init__(self, block: Block, program: Program) -> None:
         self._block, self._program = block, program
-        self._made: dict[int, LObject | list[object] | dict[object, object]] = {}
+        self._values: dict[int, LObject | list[object] | dict[object, object]] = {}
         self._empty: list[int] = []
 
     def values(self, kinds: Sequence[int], cells: Sequence[int]) -> list[object]:
@@ -95,24 +95,24 @@ class _Reader:
         return found
 
     def _value(self, kind: int, cell: int) -> object:
-        of = self._program.core.types[kind].kind
-        if of == BOOLEAN:
+        value_kind = self._program.core.types[kind].kind
+        if value_kind == BOOLEAN:
             return bool(cell)
-        if of == REAL:
+        if value_kind == REAL:
             return real_from_bits(cell)
-        if of == INT:
+        if value_kind == INT:
             members = self._program.core.enum_members(kind)
             return members[cell] if 0 <= cell < len(members) else cell
-        return self._reference(cell) if of in REFERENCES and cell else None
+        return self._reference(cell) if value_kind in REFERENCES and cell else None
 
     def _reference(self, place: int) -> object:
         head = self._block.w[place]
         if head & 0xFF == layout.STRING:
             return self._block.string(place)
-        if place not in self._made:
-            self._made[place] = self._new(head)
+        if place not in self._values:
+            self._values[place] = self._new(head)
             self._empty.append(place)
-        return self._made[place]
+        return self._values[place]
 
     def _new(self, head: int) -> LObject | list[object] | dict[object, object]:
         """The empty Python value for an array, a map or an object."""
@@ -122,22 +122,22 @@ class _Reader:
         return {} if is_map_class(self._program, index) else LObject(self._program.core.classes[index].name)
 
     def _fill(self, place: int) -> None:
-        w, made = self._block.w, self._made[place]
+        w, container = self._block.w, self._values[place]
         index = w[place] >> 8 & 0xFFFFFF
-        if isinstance(made, dict):
-            key, value = entry_types(self._program, index)
+        if isinstance(container, dict):
+            key, value_type = entry_types(self._program, index)
             for k, v in map_entries(self._block, place):
-                made[self._value(key, k)] = self._value(value, v)
+                container[self._value(key, k)] = self._value(value_type, v)
             return
-        if isinstance(made, list):
-            of = self._program.core.element(index)
+        if isinstance(container, list):
+            element_type = self._program.core.element(index)
             first, end = layout.elements(w, place)
-            made.extend(self._value(of, word) for word in w[first:end])
+            container.extend(self._value(element_type, word) for word in w[first:end])
             return
         fields = own_fields(self._program, index)
         found = {field.name: self._value(field.type, w[place + 1 + i]) for i, field in fields}
-        assert isinstance(made.fields, dict)
-        made.fields.update(found)
+        assert isinstance(container.fields, dict)
+        container.fields.update(found)
 
 
 def own_fields(program: Program, index: int) -> list[tuple[int, FieldRecord]]:

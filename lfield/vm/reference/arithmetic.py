@@ -154,7 +154,7 @@ def string_compare(function: Compare, a: int, b: int, c: int | None, after: int)
     return step
 
 
-def proxy_compare(same: bool, a: int, b: int, c: int | None, after: int) -> Step:
+def proxy_compare(is_equality: bool, a: int, b: int, c: int | None, after: int) -> Step:
     """`a = whether b and c are for the same agent` (or not), regardless of their origin."""
 
     def step(m: Registers) -> int:
@@ -162,7 +162,7 @@ def proxy_compare(same: bool, a: int, b: int, c: int | None, after: int) -> Step
         left, right = w[slots + b], 0 if c is None else w[slots + c]
         if left and right:
             left, right = w[left + PROXY_MEMBER], w[right + PROXY_MEMBER]
-        w[slots + a] = (left == right) == same
+        w[slots + a] = (left == right) == is_equality
         return after
 
     return step

@@ -123,9 +123,9 @@ class Registers:
 Step = Callable[[Registers], int]
 
 
-def null_use(what: str) -> Trap:
+def null_use(use: str) -> Trap:
     """The trap for a null reference."""
-    return Trap("NullException", f"{what} of null")
+    return Trap("NullException", f"{use} of null")
 
 
 #: A prepared argument: its slot, or None and the word of the constant.

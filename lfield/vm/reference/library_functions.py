@@ -27,13 +27,13 @@ _SHOWN = 40
 _FNV_BASIS, _FNV_PRIME, _WORD = 0xCBF29CE484222325, 0x100000001B3, (1 << 64) - 1
 
 
-def _text(m: Registers, place: int, what: str) -> str:
+def _text(m: Registers, place: int, use: str) -> str:
     if not place:
-        raise null_use(what)
+        raise null_use(use)
     return m.block.string(place)
 
 
-def _made(m: Registers, text: str) -> int:
+def _new_string(m: Registers, text: str) -> int:
     if len(text) > m.limits.string_length:
         raise Trap("LimitException", f"a string of {len(text)} is over the limit of {m.limits.string_length}")
     return m.block.new_string(text)
@@ -90,14 +90,14 @@ def _hash(m: Registers, place: int) -> int:
 
 
 def _concat(m: Registers, left: int, right: int) -> int:
-    return _made(m, _text(m, left, "'+'") + _text(m, right, "'+'"))
+    return _new_string(m, _text(m, left, "'+'") + _text(m, right, "'+'"))
 
 
 def _substring(m: Registers, place: int, start: int, end: int) -> int:
     text = _text(m, place, "substring")
     if not 0 <= start <= end <= len(text):
         raise Trap("IndexException", f"substring({start}, {end}) of a string of length {len(text)}")
-    return _made(m, text[start:end])
+    return _new_string(m, text[start:end])
 
 
 def _index_of(m: Registers, place: int, needle: int) -> int:
@@ -128,7 +128,7 @@ def _s2f(m: Registers, place: int) -> float:
 def _digits(m: Registers, value: float, digits: int) -> int:
     if not 0 <= digits <= 17:
         raise Trap("ArithmeticException", f"{digits} decimals; f2s supports 0 to 17")
-    return _made(m, f"{value:.{digits}f}")
+    return _new_string(m, f"{value:.{digits}f}")
 
 
 def _maths(name: str, function: Callable[..., float]) -> Function:
@@ -216,10 +216,10 @@ FUNCTIONS: dict[str, Function] = {
     "f2i": _f2i,
     "s2i": _s2i,
     "s2f": _s2f,
-    "i2s": lambda m, value: _made(m, str(value)),
-    "f2s": lambda m, value: _made(m, real_text(value)),
+    "i2s": lambda m, value: _new_string(m, str(value)),
+    "f2s": lambda m, value: _new_string(m, real_text(value)),
     "f2s_digits": _digits,
-    "b2s": lambda m, value: _made(m, "true" if value else "false"),
+    "b2s": lambda m, value: _new_string(m, "true" if value else "false"),
     "hops": lambda m: m.w[layout.W_HOPS],
     "heartbeat_interval": _heartbeat_interval,
     "abs_int": lambda m, value: abs(value),

@@ -126,12 +126,12 @@ class ReferenceEngine:
             case RaisedObject():
                 thrown = error.place
             case Trap():
-                thrown = self._made(m.block, error.kind, error.message, error.source)
+                thrown = self._new_exception(m.block, error.kind, error.message, error.source)
             case ZeroDivisionError():
-                thrown = self._made(m.block, "ArithmeticException", "division by zero")
+                thrown = self._new_exception(m.block, "ArithmeticException", "division by zero")
             case _:
                 # A number that does not fit its word in the block.
-                thrown = self._made(m.block, "ArithmeticException", "the result does not fit an int")
+                thrown = self._new_exception(m.block, "ArithmeticException", "the result does not fit an int")
         if not thrown:
             m.leave(HeapExhausted(EXCEPTION_WORDS))
             return False
@@ -144,7 +144,7 @@ class ReferenceEngine:
         m.enter_handler(frame, handler.target)
         return True
 
-    def _made(self, block: Block, kind: str, message: str, source: str = "") -> int:
+    def _new_exception(self, block: Block, kind: str, message: str, source: str = "") -> int:
         """An exception object of a built-in class, or 0 if the heap is full."""
         try:
             return new_exception(block, self.layouts, kind, message, source)

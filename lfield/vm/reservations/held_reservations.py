@@ -53,8 +53,8 @@ class HeldReservations:
         numbers = w[own + 2 : own + (w[own] >> 32) : 2].tolist() if own else []
         if 0 not in numbers:
             return None
-        waiting = (one for one in self.entries(agent, own, numbers.index(0)) if not one.number)
-        return next((one for one in waiting if not _number(w, outer, one.resource)), None)
+        waiting = (entry for entry in self.entries(agent, own, numbers.index(0)) if not entry.number)
+        return next((entry for entry in waiting if not _number(w, outer, entry.resource)), None)
 
     def is_nested(self, agent: Agent) -> bool:
         """Whether a coordinator at `take` has a reservation of an outer block."""
@@ -63,7 +63,9 @@ class HeldReservations:
 
     def in_order(self, numbers: Collection[int]) -> list[TeamMember]:
         """Members by number in the global order of acquisition: host by host."""
-        return sorted((self._team[number] for number in numbers), key=lambda one: (one.host, one.number))
+        return sorted(
+            (self._team[number] for number in numbers), key=lambda member: (member.host, member.number)
+        )
 
     def enclosing_arrays(self, agent: Agent) -> Iterator[int]:
         """The arrays of the blocks around the position of a coordinator, innermost first."""

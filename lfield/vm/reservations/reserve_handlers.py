@@ -22,10 +22,13 @@ Handler = Callable[[Agent, int, int, list[int]], None]
 
 
 class ReserveHandlers:
-    """The instructions of `reserve`, for the coordinators of one host (`here`, a number)."""
+    """The instructions of `reserve`, for the coordinators of one host (`own_host`, a number)."""
 
-    def __init__(self, scheduler: Scheduler, held: HeldReservations, here: int, limits: Deadlines) -> None:
-        self._scheduler, self._held_reservations, self._here, self._deadlines = scheduler, held, here, limits
+    def __init__(
+        self, scheduler: Scheduler, held: HeldReservations, own_host: int, limits: Deadlines
+    ) -> None:
+        self._scheduler, self._held_reservations = scheduler, held
+        self._own_host, self._deadlines = own_host, limits
         kinds = scheduler.program.core.types
         classes = scheduler.program.core.classes
         self._offers = frozenset(i for i, record in enumerate(classes) if record.capability)
@@ -88,7 +91,7 @@ class ReserveHandlers:
     def _on_acquire(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         self._scheduler.set_state(agent, thread, CALLING)
         while (entry := self._held_reservations.next_ungranted(agent)) is not None:
-            if entry.resource.host != self._here:
+            if entry.resource.host != self._own_host:
                 agent.freeze()
                 self._deadlines.depart(agent, entry.resource)
                 return
@@ -111,8 +114,8 @@ class ReserveHandlers:
         Trap.
         """
         portal_calls.live_resource(self._scheduler, entry.resource)
-        if why := self._barred_reason(agent, entry.resource):
-            raise Trap("AccessException", why)
+        if reason := self._barred_reason(agent, entry.resource):
+            raise Trap("AccessException", reason)
         agent.freeze()
         return self._scheduler.world.acquire_reservation(
             agent, entry.resource, nested=self._held_reservations.is_nested(agent)

@@ -143,19 +143,19 @@ class CallOutcomes:
         the end of the block.
         """
         started = [ticket for ticket in self._itinerary.tickets(agent, thread) if ticket.generation]
-        what = "; ".join(
+        reasons = "; ".join(
             f"{self._itinerary.name(ticket)} {self._outcome_text(agent, ticket)}" for ticket in started
         )
         if late:
             block = f"the block ends {late:.1f} s late: it waited for its calls and their hosts"
-            what = f"{what}; {block}" if what else block
-        if not what:
+            reasons = f"{reasons}; {block}" if reasons else block
+        if not reasons:
             return
 
         def work() -> None:
             limit = self._itinerary.call_arguments(agent, thread)[1]
             text = agent.block.text(agent.block.w[limit + 1 + MESSAGE])
-            agent.block.w[limit + 1 + MESSAGE] = agent.block.new_string(f"{text}; {what}")
+            agent.block.w[limit + 1 + MESSAGE] = agent.block.new_string(f"{text}; {reasons}")
 
         self._scheduler.run_with_collection(agent, work)
 

@@ -76,7 +76,7 @@ class CallProgress:
         found = self._itinerary.tickets(agent, thread)
         numbers = [t.number for t in found if t.state in states and self._itinerary.is_here(t)]
         pending = (self._outcomes.fetch(agent, thread, number) for number in numbers)
-        return [one for one in pending if one is not None]
+        return [call for call in pending if call is not None]
 
     def is_waiting_for(self, agent: Agent, thread: int, state: int) -> bool:
         """Fetch completed calls of the tickets in a state; returns whether a call here is still running."""

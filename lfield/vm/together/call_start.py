@@ -109,10 +109,10 @@ class CallStarter:
         """
         if not self._is_served(agent, thread):
             return False
-        mine = self._local_tickets(agent, thread)
-        if mine and not self._may_start(agent, thread, mine):
+        local_tickets = self._local_tickets(agent, thread)
+        if local_tickets and not self._may_start(agent, thread, local_tickets):
             return False
-        for number in [ticket.number for ticket in mine]:
+        for number in [ticket.number for ticket in local_tickets]:
             ticket = next(ticket for ticket in self._local_tickets(agent, thread) if ticket.number == number)
             try:
                 self._start(agent, ticket)
@@ -145,11 +145,11 @@ class CallStarter:
                 self._outcomes.throw(agent, thread, number, trap.kind, trap.message)
         return True
 
-    def _may_start(self, agent: Agent, thread: int, mine: list[Ticket]) -> bool:
+    def _may_start(self, agent: Agent, thread: int, local_tickets: list[Ticket]) -> bool:
         self._scheduler.set_state(agent, thread, CALLING)
         agent.freeze()
         if not self._scheduler.world.may_start_calls(
-            agent, [self._itinerary.call_request(ticket) for ticket in mine]
+            agent, [self._itinerary.call_request(ticket) for ticket in local_tickets]
         ):
             return False
         agent.resume()

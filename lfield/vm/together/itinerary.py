@@ -91,15 +91,15 @@ class Ticket:
 
 
 class Itinerary:
-    """Reads the tickets of the coordinators on one host (`here`, a number); `team` has all agents.
+    """Reads the tickets of the coordinators on one host (`own_host`, a number); `team` has all agents.
 
     It also serves coordinators that wait for a portal or a reservation.
     """
 
     def __init__(
-        self, scheduler: Scheduler, team: Sequence[TeamMember], here: int, held: HeldReservations
+        self, scheduler: Scheduler, team: Sequence[TeamMember], own_host: int, held: HeldReservations
     ) -> None:
-        self._scheduler, self._team, self._here, self._held_reservations = scheduler, team, here, held
+        self._scheduler, self._team, self._own_host, self._held_reservations = scheduler, team, own_host, held
         self._program = scheduler.program
 
     def head(self, agent: Agent) -> str:
@@ -175,7 +175,7 @@ class Itinerary:
 
     def is_here(self, ticket: Ticket) -> bool:
         """Whether the resource of the ticket is on this host."""
-        return self._team[ticket.member].host == self._here
+        return self._team[ticket.member].host == self._own_host
 
     def resource(self, ticket: Ticket) -> TeamMember:
         return self._team[ticket.member]
@@ -221,9 +221,9 @@ class Itinerary:
         if head == "next":
             return self.first_destination(agent, found)
         if head not in CANCELLING_HEADS and (
-            mine := [t for t in found if t.state == TICKET_COLLECTED and self.is_here(t)]
+            collected := [t for t in found if t.state == TICKET_COLLECTED and self.is_here(t)]
         ):
-            return mine
+            return collected
         by_state = (
             self.tickets_elsewhere(found, state, lambda resource: resource.id != agent.called_resource)
             for state in VISITED_STATES[head]
@@ -266,7 +266,7 @@ class Itinerary:
             return False
         named, request = self._named_startable(agent), self.call_arguments(agent, only_thread(agent.block))[1]
         sequencer = self._scheduler.world.sequencer
-        return named is not None and named.host == self._here and sequencer.has_started(named, request)
+        return named is not None and named.host == self._own_host and sequencer.has_started(named, request)
 
     def current_call(self, agent: Agent) -> str:
         """The target of `current_target` as `resource.portal()`; '' for none."""
@@ -300,7 +300,7 @@ class Itinerary:
     def wait_reason(self, agent: Agent) -> str:
         """The reason why a suspended coordinator cannot continue at once: it has left or is being stored."""
         called = self.current_target(agent)
-        if called is None or called[0].host == self._here:
+        if called is None or called[0].host == self._own_host:
             return "it was being written to disk"
         host = self._scheduler.world.host_of(called[0])
         return f"it was sent to {host} and may have arrived there"

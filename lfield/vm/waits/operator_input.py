@@ -46,7 +46,7 @@ class OperatorInput:
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
-        self._kept: deque[str] = deque()
+        self._stored_lines: deque[str] = deque()
         self._readers: list[_Reader] = []
 
     def handlers(self) -> Mapping[str, Callable[[Agent, int, int, list[int]], None]]:
@@ -66,7 +66,7 @@ class OperatorInput:
         """
         text = text[:MAX_LINE]
         self._drop_ended()
-        reader = next((one for one in self._readers if agent in ("", one.agent.id)), None)
+        reader = next((waiter for waiter in self._readers if agent in ("", waiter.agent.id)), None)
         if reader is not None:
             self._readers.remove(reader)
             self._complete(reader.agent, reader.thread, text)
@@ -74,9 +74,9 @@ class OperatorInput:
             return ""
         if not is_kept:
             return NO_READER.format(agent=agent)
-        if len(self._kept) >= MAX_KEPT:
+        if len(self._stored_lines) >= MAX_KEPT:
             return TOO_MANY
-        self._kept.append(text)
+        self._stored_lines.append(text)
         return ""
 
     def cancel(self, agent: Agent, thread: int) -> bool:
@@ -101,8 +101,8 @@ class OperatorInput:
             return
         scheduler.end_line(agent, thread)
         scheduler.open(agent)
-        if self._kept:
-            self._complete(agent, thread, self._kept.popleft())
+        if self._stored_lines:
+            self._complete(agent, thread, self._stored_lines.popleft())
             return
         reader = _Reader(agent, thread, seconds)
         scheduler.set_state(agent, thread, WAITING)
@@ -126,10 +126,10 @@ class OperatorInput:
             self._throw_expired(reader)
 
     def _throw_expired(self, reader: _Reader) -> None:
-        here = self._scheduler.world.host_of(reader.agent.member)
+        host = self._scheduler.world.host_of(reader.agent.member)
         message = (
-            f"no line was entered at {here} within {reader.seconds:g} s: type the line in the terminal of "
-            f"{here}, in the terminal of lfield up --all as {here}: TEXT, or on the page of lfield watch"
+            f"no line was entered at {host} within {reader.seconds:g} s: type the line in the terminal of "
+            f"{host}, in the terminal of lfield up --all as {host}: TEXT, or on the page of lfield watch"
         )
         self._scheduler.throw_builtin(
             reader.agent, reader.thread, "TimeLimitException", message, reader.agent.id

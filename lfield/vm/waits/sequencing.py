@@ -19,12 +19,12 @@ Handler = Callable[[Agent, int, int, list[int]], None]
 
 
 class SequencingHandlers:
-    """The instructions, for the coordinators of one host (`here`, a number); `team` has all agents."""
+    """The instructions, for the coordinators of one host (`own_host`, a number); `team` has all agents."""
 
     def __init__(
-        self, scheduler: Scheduler, team: Sequence[TeamMember], here: int, limits: Deadlines
+        self, scheduler: Scheduler, team: Sequence[TeamMember], own_host: int, limits: Deadlines
     ) -> None:
-        self._scheduler, self._here, self._deadlines = scheduler, here, limits
+        self._scheduler, self._own_host, self._deadlines = scheduler, own_host, limits
         self._startable = {member.id: member for member in team if member.is_startable}
 
     def handlers(self) -> Mapping[str, Handler]:
@@ -57,7 +57,7 @@ class SequencingHandlers:
                 scheduler.throw_builtin(agent, thread, "UnknownResourceException", message, id)
                 return
             scheduler.freeze(agent, thread)
-            if member.host != self._here:
+            if member.host != self._own_host:
                 self._deadlines.depart(agent, member)
                 return
             if not scheduler.world.may_start_call(agent, acts):

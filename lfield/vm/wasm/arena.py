@@ -60,10 +60,10 @@ class Arena:
         region = data.obj if isinstance(data, memoryview) else None
         if isinstance(region, Region) and len(region) == size_class(size):
             return memoryview(region).cast("B")[:size]
-        made = self.allocate(size)
+        copy = self.allocate(size)
         copied = min(size, len(data))
-        made[:copied] = data[:copied]
-        return made
+        copy[:copied] = data[:copied]
+        return copy
 
     def base(self, data: Buffer) -> int:
         """The start of a region in the memory, in bytes; -1 for bytes outside the memory."""
@@ -167,9 +167,9 @@ def _region(capacity: int) -> type[Region]:
 def _reserved(pages: int) -> tuple[int, Any, wasmtime.Memory]:
     """A memory with the largest possible reservation: addresses, store, memory."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    most = ADDRESS_SPACE if limit == resource.RLIM_INFINITY else limit // 4
+    maximum = ADDRESS_SPACE if limit == resource.RLIM_INFINITY else limit // 4
     for reservation in RESERVATIONS:
-        if reservation > max(most, RESERVATIONS[-1]):
+        if reservation > max(maximum, RESERVATIONS[-1]):
             continue
         try:
             store = wasmtime.Store(compiler(reservation))

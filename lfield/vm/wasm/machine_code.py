@@ -92,8 +92,8 @@ def _codes(
     known = {digest: _recent.pop((digest, reservation), None) for digest in lowerings}
     codes = {digest: code or _from_cache(digest, reservation, cache) for digest, code in known.items()}
     missing = {digest: lowerings[digest]() for digest, code in codes.items() if code is None}
-    made = _compile(missing, reservation, cache)
-    all_codes = {digest: code or made[digest] for digest, code in codes.items()}
+    compiled = _compile(missing, reservation, cache)
+    all_codes = {digest: code or compiled[digest] for digest, code in codes.items()}
     _recent.update({(digest, reservation): code for digest, code in all_codes.items()})
     while len(_recent) > CACHED_PROGRAMS:
         _recent.popitem(last=False)
@@ -122,17 +122,19 @@ def _compile(
     engine = compiler(reservation)
     if cache is None:
         return {
-            digest: MachineCode(wasmtime.Module(engine, made.text), made.points, made.unsupported)
-            for digest, made in modules.items()
+            digest: MachineCode(wasmtime.Module(engine, module.text), module.points, module.unsupported)
+            for digest, module in modules.items()
         }
     codes = {}
-    machine_codes = cache.compiled([made.text for made in modules.values()], reservation) if modules else ()
-    for (digest, made), machine_code in zip(modules.items(), machine_codes, strict=True):
+    machine_codes = (
+        cache.compiled([module.text for module in modules.values()], reservation) if modules else ()
+    )
+    for (digest, module), machine_code in zip(modules.items(), machine_codes, strict=True):
         name = name_of(digest, reservation)
-        content = msgspec.msgpack.encode(_StoredCode(made.points, made.unsupported, machine_code))
+        content = msgspec.msgpack.encode(_StoredCode(module.points, module.unsupported, machine_code))
         cache.put(name, _header_of(name, content) + content)
         compiled = wasmtime.Module.deserialize(engine, machine_code)
-        codes[digest] = MachineCode(compiled, made.points, made.unsupported)
+        codes[digest] = MachineCode(compiled, module.points, module.unsupported)
     return codes
 
 

@@ -77,8 +77,8 @@ class WasmEngine:
         code = code_of(prepared, self.space.reservation, cache)
         #: The number of each instruction where WebAssembly can continue.
         self.points = code.points
-        for method, why in code.unsupported.items():
-            note(log_messages.METHOD_UNCOMPILED.line(method=method, reason=why))
+        for method, reason in code.unsupported.items():
+            note(log_messages.METHOD_UNCOMPILED.line(method=method, reason=reason))
         store = self.space.store
         runtime = self.space.functions.instance.exports(store)
         instance = wasmtime.Instance(

@@ -20,10 +20,11 @@ _OPENS, _CLOSES = ("block", "loop", "if"), ("end", "else")
 def listing(program: Program) -> str:
     """The text, which can be assembled; it ends with a newline."""
     notes, lines_of_l = _notes(program)
-    made = lower_program(prepare(program), notes)
-    first, *rest = made.text.splitlines()
+    module = lower_program(prepare(program), notes)
+    first, *rest = module.text.splitlines()
     unsupported = [
-        f";; {method} is executed by the reference engine: {why}" for method, why in made.unsupported.items()
+        f";; {method} is executed by the reference engine: {reason}"
+        for method, reason in module.unsupported.items()
     ]
     lines = _once([first, *unsupported, *rest], lines_of_l)
     return "".join(f"{line}\n" for line in _set_in(lines))

@@ -35,14 +35,14 @@ _NATURAL = {
 
 
 def check_library_call(
-    body: BodyContext, raw: syntax.Call, owner: tree.Expr, given: list[tree.Expr]
+    body: BodyContext, raw: syntax.Call, owner: tree.Expr, arguments: list[tree.Expr]
 ) -> tree.Expr:
     """`array.contains(x)`, `array.indexOf(x)` or `array.slice(from, to)`."""
     assert isinstance(owner.type, ArrayType)
     name, place = raw.function.name, _place(raw)
     parameters = (INT, INT) if name == "slice" else (owner.type.element,)
     result = {"contains": BOOLEAN, "indexOf": INT}.get(name, owner.type)
-    chosen = choose_overload(body.symbols, place, [OverloadCandidate(name, parameters, name)], given)
+    chosen = choose_overload(body.symbols, place, [OverloadCandidate(name, parameters, name)], arguments)
     if chosen is None:
         return unknown(raw.span)
     return _call(body, raw, name, array_texts()[name], (owner, *chosen[1]), result)
@@ -51,29 +51,31 @@ def check_library_call(
 def check_sort(body: BodyContext, raw: syntax.Call, owner: tree.Expr) -> tree.Expr:
     """`array.sort()`, or `array.sort(method)` with a method of this unit that returns a key or compares."""
     assert isinstance(owner.type, ArrayType)
-    of, arguments = owner.type.element, raw.arguments
+    element_type, arguments = owner.type.element, raw.arguments
     if not arguments:
-        if of not in _NATURAL:
-            body.report(messages.SORT_ORDER, _place(raw), type=with_article(of), element=of)
+        if element_type not in _NATURAL:
+            body.report(
+                messages.SORT_ORDER, _place(raw), type=with_article(element_type), element=element_type
+            )
             return unknown(raw.span)
-        return _call(body, raw, "sort", _natural("sort", of), (owner,), VOID)
+        return _call(body, raw, "sort", _natural("sort", element_type), (owner,), VOID)
     if len(arguments) > 1 or not isinstance(arguments[0], syntax.Name):
         body.report(messages.SORT_ARGUMENT, arguments[-1].span)
         return unknown(raw.span)
     name = arguments[0].name
-    functions = [one.head for one in body.symbols.functions.get(name, ())]
+    functions = [function.head for function in body.symbols.functions.get(name, ())]
     for method in body.methods(name) or functions:
         types = [parameter.type for parameter in method.parameters]
-        if types == [of] and method.result in _NATURAL:
+        if types == [element_type] and method.result in _NATURAL:
             text = _natural("sortByKey", method.result).replace("KEY(", f"{name}(")
             return _call(body, raw, "sortByKey", text, (owner,), VOID, method.result)
-        if types == [of, of] and method.result == BOOLEAN:
+        if types == [element_type, element_type] and method.result == BOOLEAN:
             text = _CALL.sub(rf"{name}(\1, \2)", array_texts()["sort"])
             return _call(body, raw, "sort", text, (owner,), VOID)
-    if not body.is_broken() and of is not UNKNOWN:
+    if not body.is_broken() and element_type is not UNKNOWN:
         known = [method.signature for method in body.methods(name) or functions]
         found = f"'{name}' is {listed(known)}" if known else f"there is no method or function '{name}' here"
-        body.report(messages.SORT_METHOD, arguments[0].span, found=found, element=of, name=name)
+        body.report(messages.SORT_METHOD, arguments[0].span, found=found, element=element_type, name=name)
     return unknown(raw.span)
 
 
@@ -89,9 +91,9 @@ def _place(raw: syntax.Call) -> Span:
     return raw.function.place
 
 
-def _natural(name: str, of: Type) -> str:
+def _natural(name: str, element_type: Type) -> str:
     """The text of a method that compares values of a type."""
-    return _CALL.sub(_NATURAL[of], array_texts()[name])
+    return _CALL.sub(_NATURAL[element_type], array_texts()[name])
 
 
 def _call(

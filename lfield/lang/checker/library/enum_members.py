@@ -33,7 +33,7 @@ def check_enum_call(
     raw: syntax.Call,
     function: syntax.Member,
     owner: tree.Expr,
-    given: Sequence[tree.Expr],
+    arguments: Sequence[tree.Expr],
 ) -> tree.Expr:
     """`Phase.values()`, `Phase.of(text)`, `phase.name()` or `phase.ordinal()`."""
     name, place = function.name, function.place
@@ -45,7 +45,7 @@ def check_enum_call(
         _unknown_method(body, function, enum, is_enum)
         return unknown(raw.span)
     candidates = [OverloadCandidate(name, found.parameters, found)]
-    chosen = choose_overload(body.symbols, place, candidates, given)
+    chosen = choose_overload(body.symbols, place, candidates, arguments)
     if chosen is None:
         return unknown(raw.span)
     kind = EnumType(enum.name)

@@ -32,8 +32,8 @@ def check_limit(body: BodyContext, name: str, arguments: Sequence[Expr]) -> None
         return
     seconds = _constant(arguments[-1])
     if seconds is not None and not seconds > 0:
-        given = "no number (NaN)" if math.isnan(seconds) else f"{seconds:g}"
-        body.report(messages.LIMIT_OVER, arguments[-1].span, name=name, given=given, example=_WAITING[name])
+        text = "no number (NaN)" if math.isnan(seconds) else f"{seconds:g}"
+        body.report(messages.LIMIT_OVER, arguments[-1].span, name=name, given=text, example=_WAITING[name])
 
 
 def _constant(expr: Expr) -> float | None:
@@ -49,15 +49,15 @@ def _constant(expr: Expr) -> float | None:
     return None
 
 
-def output_hint(name: str, given: Sequence[Expr]) -> str | None:
+def output_hint(name: str, arguments: Sequence[Expr]) -> str | None:
     """The hint for `print("n", n)` of Python: one text, each argument converted; and for `read()` without its
     limit. None for other calls."""
-    if name == "read" and not given:
+    if name == "read" and not arguments:
         return "write how many seconds it waits at most, as in read(30.0)"
-    if name not in ("print", "write") or len(given) == 1:
+    if name not in ("print", "write") or len(arguments) == 1:
         return None
     parts = []
-    for argument in given:
+    for argument in arguments:
         if argument.type not in _TO_TEXT:
             return 'join text with +, as in "n is " + i2s(n)'
         function = _TO_TEXT[argument.type]

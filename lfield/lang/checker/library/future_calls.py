@@ -85,7 +85,7 @@ def _race(body: BodyContext, raw: syntax.Call, owner: tree.Expr, kind: FutureTyp
         )
         return unknown(raw.span)
     name = argument.name
-    methods = body.methods(name) or [one.head for one in body.symbols.functions.get(name, ())]
+    methods = body.methods(name) or [function.head for function in body.symbols.functions.get(name, ())]
     for method in methods:
         if [p.type for p in method.parameters] == [kind.value] and method.result == BOOLEAN:
             accepts = rf"(\1.failed() || !{name}(\1.await()))"
@@ -133,13 +133,13 @@ def _check_twice(symbols: Symbols, array: tree.Elements) -> None:
 def _empty_arrays(body: list[tree.Stmt]) -> Iterator[tree.Expr]:
     """The arrays on which `race` is called, in locals that are declared empty and never changed."""
     empty = [
-        one.local
-        for one in all_statements(body)
-        if isinstance(one, tree.Declare)
-        and isinstance(one.value, tree.Elements | tree.NewArray)
-        and _is_empty(one.value)
-        and isinstance(one.local.type, ArrayType)
-        and isinstance(one.local.type.element, FutureType)
+        stmt.local
+        for stmt in all_statements(body)
+        if isinstance(stmt, tree.Declare)
+        and isinstance(stmt.value, tree.Elements | tree.NewArray)
+        and _is_empty(stmt.value)
+        and isinstance(stmt.local.type, ArrayType)
+        and isinstance(stmt.local.type.element, FutureType)
     ]
     if not empty:
         return
@@ -157,6 +157,6 @@ def _empty_arrays(body: list[tree.Stmt]) -> Iterator[tree.Expr]:
 
 
 def _expressions(body: list[tree.Stmt]) -> Iterator[tree.Expr]:
-    for one in all_statements(body):
-        for value in statement_expressions(one):
+    for stmt in all_statements(body):
+        for value in statement_expressions(stmt):
             yield from descendants(value)

@@ -39,9 +39,9 @@ def declare_loops(symbols: Symbols, unit: tree.Unit) -> None:
         symbols.report(messages.TOO_MANY_LOOPS, last.body.span, limit=MAX_LOOPS)
 
 
-def is_below(one: tree.ResourceLoop, other: tree.ResourceLoop) -> bool:
+def is_below(loop: tree.ResourceLoop, other: tree.ResourceLoop) -> bool:
     """Whether a loop is suppressed while the other one is engaged; loops without priority never are."""
-    return one.priority is not None and other.priority is not None and one.priority < other.priority
+    return loop.priority is not None and other.priority is not None and loop.priority < other.priority
 
 
 def check_loop_call(
@@ -49,7 +49,7 @@ def check_loop_call(
     raw: syntax.Call,
     function: syntax.Member,
     loop: tree.ResourceLoop,
-    given: list[tree.Expr],
+    arguments: list[tree.Expr],
 ) -> tree.Expr:
     """`loop.running()` or `loop.overruns()`."""
     field = {"running": loop.running, "overruns": loop.overruns}.get(function.name)
@@ -57,6 +57,6 @@ def check_loop_call(
         body.report(messages.LOOP_MEMBER, function.place, name=function.name)
         return unknown(raw.span)
     candidate = OverloadCandidate(function.name, (), field)
-    if choose_overload(body.symbols, function.place, [candidate], given) is None:
+    if choose_overload(body.symbols, function.place, [candidate], arguments) is None:
         return unknown(raw.span)
     return tree.FieldGet(raw.span, field.type, body.this(raw.span), field)

@@ -50,18 +50,20 @@ def sequencing_call(
 
 
 def head_call(
-    body: BodyContext, raw: syntax.Call, name: str, owner: tree.Expr, given: Sequence[tree.Expr]
+    body: BodyContext, raw: syntax.Call, name: str, owner: tree.Expr, arguments: Sequence[tree.Expr]
 ) -> tree.Expr | None:
     """The instruction behind a method of text that only the library has; None elsewhere."""
     if name not in _HEADS or owner.type != STRING or body.symbols.library.parameters != _BOUND:
         return None
     operation, result = _HEADS[name]
-    return tree.LibraryCall(raw.span, result, operation, [owner, *given])
+    return tree.LibraryCall(raw.span, result, operation, [owner, *arguments])
 
 
 def _instance(body: BodyContext, name: str) -> LibraryBody:
     source = body.symbols.library.source(_text())
-    written = next(one for one in parse_file(source, Diagnostics()).units[0].methods if one.name == name)
+    written = next(
+        portal for portal in parse_file(source, Diagnostics()).units[0].methods if portal.name == name
+    )
     kinds = {"string": STRING, "real": REAL, "int": INT}
     method = tree.Method(
         name,

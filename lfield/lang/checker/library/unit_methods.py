@@ -67,7 +67,8 @@ def function_call(
 ) -> tree.Expr:
     """`square(x)`: the overload that fits."""
     candidates = [
-        OverloadCandidate(one.head.name, tuple(p.type for p in one.head.parameters), one) for one in functions
+        OverloadCandidate(candidate.head.name, tuple(p.type for p in candidate.head.parameters), candidate)
+        for candidate in functions
     ]
     chosen = choose_overload(body.symbols, place, candidates, given)
     if chosen is None:

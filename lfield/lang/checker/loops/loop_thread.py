@@ -59,8 +59,8 @@ def check_loop(symbols: Symbols, body: tree.Method, head: syntax.LoopHead) -> No
     period = _nanoseconds(context, head)
     holds = None if head.condition is None else condition(context, head.condition)
     higher = [other for other in body.unit.loops if is_below(loop, other)]
-    made = _Ticks(loop, context.this(body.span))
-    loop.ticks.body.extend(made.statements(period, holds, higher, lower))
+    ticks = _Ticks(loop, context.this(body.span))
+    loop.ticks.body.extend(ticks.statements(period, holds, higher, lower))
 
 
 def _nanoseconds(body: BodyContext, head: syntax.LoopHead) -> Expr:
@@ -186,16 +186,16 @@ class _Ticks:
     def _local(self, kind: Type) -> Local:
         return Local("", kind, self._span)
 
-    def _literal(self, kind: Type, of: bool | int | float) -> Expr:
-        return tree.Literal_(self._span, kind, of)
+    def _literal(self, kind: Type, value: bool | int | float) -> Expr:
+        return tree.Literal_(self._span, kind, value)
 
-    def _get(self, of: Local | Field) -> tree.LocalGet | tree.FieldGet:
-        if isinstance(of, Local):
-            return tree.LocalGet(self._span, of.type, of)
-        return tree.FieldGet(self._span, of.type, self._this, of)
+    def _get(self, variable: Local | Field) -> tree.LocalGet | tree.FieldGet:
+        if isinstance(variable, Local):
+            return tree.LocalGet(self._span, variable.type, variable)
+        return tree.FieldGet(self._span, variable.type, self._this, variable)
 
-    def _set(self, of: Local | Field, to: Expr) -> Stmt:
-        return self._do(tree.Assign(self._span, of.type, self._get(of), to))
+    def _set(self, variable: Local | Field, value: Expr) -> Stmt:
+        return self._do(tree.Assign(self._span, variable.type, self._get(variable), value))
 
     def _do(self, call: Expr) -> Stmt:
         return tree.Evaluate(self._span, call)

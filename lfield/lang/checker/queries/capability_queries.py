@@ -23,7 +23,7 @@ def check_query(
     place: Span,
     verb: Verb,
     capability: tree.Unit,
-    given: list[tree.Expr],
+    arguments: list[tree.Expr],
 ) -> tree.Expr:
     """A query with or without a constraint, where capabilities are visible."""
     if body.unit.usage != "coordinator":
@@ -33,11 +33,11 @@ def check_query(
     result: Type = {"find": offers, "teams": array_of(offers), "explain": STRING}[verb]
     name, size = f"{verb}{capability.name}", (INT,) if verb == "teams" else ()
     candidates = [OverloadCandidate(name, (STRING, *size), result), OverloadCandidate(name, size, result)]
-    chosen = choose_overload(body.symbols, place, candidates, given)
+    chosen = choose_overload(body.symbols, place, candidates, arguments)
     if chosen is None:
         return unknown(raw.span)
-    asked = chosen[1][: len(chosen[1]) - len(size)]
-    constraint = asked[0] if asked else None
+    types = chosen[1][: len(chosen[1]) - len(size)]
+    constraint = types[0] if types else None
     if isinstance(constraint, tree.Literal_) and not str(constraint.value).strip():
         rest = chosen[1][-1].span.text if size else ""
         more = f", {rest}" if size else ""
@@ -53,8 +53,8 @@ def _checked(body: BodyContext, raw: syntax.Call, constraint: tree.Expr) -> tree
     if query is None:
         _report_computed(body, constraint)
         return constraint
-    if "$" in query.text and (given := with_parameters(body, raw, query)) is not None:
-        return given
+    if "$" in query.text and (text := with_parameters(body, raw, query)) is not None:
+        return text
     is_joined = len(query.pieces) > 1
     if is_joined and all(piece.span.text.startswith('"') for _, piece in query.pieces):
         return constraint  # A sum of literals is checked when it is asked, as in programs of 0.4.

@@ -46,14 +46,21 @@ def with_parameters(body: BodyContext, raw: syntax.Call, query: QueryText) -> tr
     for problem in read.mistakes:
         place = query.place(problem.start, problem.end)
         body.report(messages.CONSTRAINT, place, hint=problem.hint, problem=problem.message)
-    for one in read.quoted:
-        if is_variable(body, one.path):
-            body.report(messages.QUOTED_PARAMETER, query.place(one.start, one.end), name=one.path)
+    for placeholder in read.quoted:
+        if is_variable(body, placeholder.path):
+            body.report(
+                messages.QUOTED_PARAMETER,
+                query.place(placeholder.start, placeholder.end),
+                name=placeholder.path,
+            )
     if read.mistakes:
         return unknown(raw.span)
     if not read.placeholders:
         return None
-    values = {one.path: _value(body, one.path, query.place(one.start, one.end)) for one in read.placeholders}
+    values = {
+        placeholder.path: _value(body, placeholder.path, query.place(placeholder.start, placeholder.end))
+        for placeholder in read.placeholders
+    }
     sorts = {path: _sort(body, value) for path, value in values.items()}
     return _compiled(body, raw, query, values, sorts, types)
 
@@ -90,9 +97,9 @@ def is_variable(body: BodyContext, name: str) -> bool:
 
 def _value(body: BodyContext, path: str, place: Span) -> tree.Expr:
     """The value of a path such as `$at[$i].north`; all of it has one place."""
-    quiet = Diagnostics()
+    discarded = Diagnostics()
     without_signs = _QUOTED_OR_SIGN.sub(lambda found: found[1] or "", path)
-    raw = expression(TokenStream(scan(Source("", without_signs), quiet), quiet))
+    raw = expression(TokenStream(scan(Source("", without_signs), discarded), discarded))
     return _part(body, raw, place)
 
 
@@ -134,14 +141,14 @@ def _sort(body: BodyContext, value: tree.Expr) -> PlaceholderSort:
 
 
 def _encoded(
-    body: BodyContext, raw: syntax.Call, value: tree.Expr, of: PlaceholderValue
+    body: BodyContext, raw: syntax.Call, value: tree.Expr, placeholder: PlaceholderValue
 ) -> Iterator[str | tree.Expr]:
     """The parts of the string for one value."""
-    span, name = value.span, f" {of.path}{_SEPARATOR}"
+    span, name = value.span, f" {placeholder.path}{_SEPARATOR}"
     if value.type == BOOLEAN:
         yield from ("b", tree.LibraryCall(span, STRING, "b2s", [value]), name)
     elif value.type in (INT, REAL):
-        number = _converted(value, of)
+        number = _converted(value, placeholder)
         to_text = "i2s" if number.type == INT else "f2s"
         yield from ("n", tree.LibraryCall(span, STRING, to_text, [number]), name)
     else:
@@ -150,14 +157,18 @@ def _encoded(
         yield from ("t", tree.LibraryCall(span, STRING, "i2s", [length]), name, text)
 
 
-def _converted(value: tree.Expr, of: PlaceholderValue) -> tree.Expr:
+def _converted(value: tree.Expr, placeholder: PlaceholderValue) -> tree.Expr:
     """A number in the unit of the other side of the comparison."""
-    if (of.factor, of.offset) == (1.0, 0.0):
+    if (placeholder.factor, placeholder.offset) == (1.0, 0.0):
         return value
     span = value.span
     real = tree.ToReal(span, REAL, value) if value.type == INT else value
-    scaled = tree.Binary(span, REAL, "*", real, tree.Literal_(span, REAL, of.factor))
-    return tree.Binary(span, REAL, "+", scaled, tree.Literal_(span, REAL, of.offset)) if of.offset else scaled
+    scaled = tree.Binary(span, REAL, "*", real, tree.Literal_(span, REAL, placeholder.factor))
+    return (
+        tree.Binary(span, REAL, "+", scaled, tree.Literal_(span, REAL, placeholder.offset))
+        if placeholder.offset
+        else scaled
+    )
 
 
 def _joined(span: Span, parts: list[str | tree.Expr]) -> tree.Expr:

@@ -22,7 +22,10 @@ class QueryText:
 
         In a literal with escapes the offsets are not those of the file: then the whole literal is marked.
         """
-        first, piece = next((one for one in reversed(self.pieces) if one[0] <= start), self.pieces[0])
+        first, piece = next(
+            (start_and_piece for start_and_piece in reversed(self.pieces) if start_and_piece[0] <= start),
+            self.pieces[0],
+        )
         span, text = piece.span, str(piece.value)
         if span.text != f'"{text}"' or end > first + len(text):
             return span

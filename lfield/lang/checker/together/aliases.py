@@ -66,12 +66,12 @@ class Aliases:
     """The names of a method's arrays."""
 
     def __init__(self, body: Sequence[Stmt]) -> None:
-        self._same: dict[Named, Named] = {}
+        self._alias_of: dict[Named, Named] = {}
         self._inside: list[tuple[Named, Named]] = []
-        for one in all_statements(body):
-            if isinstance(one, Declare) and one.value is not None:
-                self._join(one.local, 0, one.value)
-            for part in (part for value in statement_expressions(one) for part in descendants(value)):
+        for stmt in all_statements(body):
+            if isinstance(stmt, Declare) and stmt.value is not None:
+                self._join(stmt.local, 0, stmt.value)
+            for part in (part for value in statement_expressions(stmt) for part in descendants(value)):
                 if isinstance(part, LibraryCall) and part.operation in ("append", "insert"):
                     array = part.arguments[0]
                     if (name := named(base(array))) is not None:
@@ -86,14 +86,14 @@ class Aliases:
 
     def of(self, name: Named) -> Named:
         """The representative of all aliases of an array."""
-        while name in self._same:
-            name = self._same[name]
+        while name in self._alias_of:
+            name = self._alias_of[name]
         return name
 
     def related(self, name: Named) -> set[Named]:
         """The representatives of an array, of the arrays in it and of those that contain it."""
-        one = self.of(name)
-        return _reached(one, self._around) | _reached(one, self._within)
+        representative = self.of(name)
+        return _reached(representative, self._around) | _reached(representative, self._within)
 
     def _join(self, name: Named, level: int, value: Expr) -> None:
         """Record `name = value` (level 0), or `name[i] = value` (1) and so on."""
@@ -102,8 +102,8 @@ class Aliases:
         if isinstance(value, Assign):
             self._join(name, level, value.value)
         elif isinstance(value, Elements):
-            for one in value.elements:
-                self._join(name, level + 1, one)
+            for element in value.elements:
+                self._join(name, level + 1, element)
         elif (source := named(base(value))) is not None:
             self._relate(name, level, source, depth(value))
 
@@ -114,16 +114,16 @@ class Aliases:
         elif level > found:
             self._inside.append((source, name))
         elif self.of(source) != self.of(name):
-            self._same[self.of(source)] = self.of(name)
+            self._alias_of[self.of(source)] = self.of(name)
 
 
-def _reached(start: Named, ways: Mapping[Named, set[Named]]) -> set[Named]:
+def _reached(start: Named, neighbours: Mapping[Named, set[Named]]) -> set[Named]:
     """The reachable nodes, including the start."""
     found: set[Named] = set()
     waiting = [start]
     while waiting:
-        one = waiting.pop()
-        if one not in found:
-            found.add(one)
-            waiting += ways.get(one, ())
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += neighbours.get(name, ())
     return found

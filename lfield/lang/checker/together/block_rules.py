@@ -61,8 +61,8 @@ def _seconds(body: BodyContext, raw: syntax.Expr, rule: FindingKind) -> Expr:
     found = require_type(body.symbols, value(body, raw), REAL)
     seconds = None if found.type is UNKNOWN else constant_number(found)
     if seconds is not None and not seconds > 0:
-        given = "no number (NaN)" if math.isnan(seconds) else f"{seconds:g}"
-        body.report(rule, found.span, given=given)
+        text = "no number (NaN)" if math.isnan(seconds) else f"{seconds:g}"
+        body.report(rule, found.span, given=text)
     return found
 
 

@@ -45,8 +45,8 @@ def result_target(
         symbols.report(messages.TOGETHER_TARGET, target.span)
         return None
     if target.type != call.type and UNKNOWN not in (target.type, call.type):
-        expected, given = with_article(target.type), with_article(call.type)
-        symbols.report(messages.TOGETHER_TYPE, target.span, expected=expected, given=given)
+        expected, actual = with_article(target.type), with_article(call.type)
+        symbols.report(messages.TOGETHER_TYPE, target.span, expected=expected, given=actual)
         return None
     return target
 
@@ -55,8 +55,8 @@ def check_targets(symbols: Symbols, block: Together, started: Sequence[StartedCa
     """Report targets that are declared in the block, and locals that it may assign twice."""
     declared = _declared(block)
     first: dict[Local, int] = {}
-    for one in started:
-        target = one.start.target
+    for call in started:
+        target = call.start.target
         local = None if target is None else named(base(target))
         if target is None or not isinstance(local, Local):
             continue
@@ -64,7 +64,7 @@ def check_targets(symbols: Symbols, block: Together, started: Sequence[StartedCa
             symbols.report(messages.TOGETHER_DECLARED, target.span, name=local.name, type=local.type)
         elif isinstance(target, LocalGet) and local in first:
             symbols.report(messages.TOGETHER_DOUBLE_TARGET, target.span, name=local.name, line=first[local])
-        elif isinstance(target, LocalGet) and one.loop:
+        elif isinstance(target, LocalGet) and call.loop:
             symbols.report(messages.TOGETHER_LOOP, target.span, name=local.name)
         if isinstance(target, LocalGet):
             first.setdefault(local, target.span.line)
@@ -73,9 +73,9 @@ def check_targets(symbols: Symbols, block: Together, started: Sequence[StartedCa
 def _declared(block: Together) -> set[Local]:
     """The locals that are declared anywhere in a together."""
     found: set[Local] = set()
-    for one in all_statements(block.body):
-        if isinstance(one, Declare):
-            found.add(one.local)
-        elif isinstance(one, Try):
-            found.update(clause.local for clause in one.catches)
+    for stmt in all_statements(block.body):
+        if isinstance(stmt, Declare):
+            found.add(stmt.local)
+        elif isinstance(stmt, Try):
+            found.update(clause.local for clause in stmt.catches)
     return found

@@ -53,7 +53,7 @@ def mark_started_calls(symbols: Symbols, body: list[Stmt], *, whole: bool) -> No
 
     A body that is not `whole` has errors: calls may be missing.
     """
-    blocks = [one for one in all_statements(body) if isinstance(one, Together)]
+    blocks = [stmt for stmt in all_statements(body) if isinstance(stmt, Together)]
     aliases = Aliases(body if blocks else [])
     for block in blocks:
         before = len(symbols.found.found)
@@ -61,7 +61,7 @@ def mark_started_calls(symbols: Symbols, body: list[Stmt], *, whole: bool) -> No
         if not started and whole and len(symbols.found.found) == before:
             symbols.report(messages.TOGETHER_EMPTY, block.span)
         check_targets(symbols, block, started)
-        check_uses(symbols, block, [one.start for one in started], aliases)
+        check_uses(symbols, block, [call.start for call in started], aliases)
 
 
 class _StartedCalls:
@@ -76,69 +76,69 @@ class _StartedCalls:
         waiting = [(block.body, _CallSite())]
         while waiting:
             body, place = waiting.pop()
-            for at, one in enumerate(body):
-                body[at] = self.statement(one, place)
-                waiting += _inner(one, place)
-        return sorted(self.started, key=lambda one: one.start.span.start)
+            for at, stmt in enumerate(body):
+                body[at] = self.statement(stmt, place)
+                waiting += _inner(stmt, place)
+        return sorted(self.started, key=lambda call: call.start.span.start)
 
-    def statement(self, one: Stmt, place: _CallSite) -> Stmt:
+    def statement(self, stmt: Stmt, place: _CallSite) -> Stmt:
         """The statement, or the call that it starts."""
-        match one:
+        match stmt:
             case Together():
-                return one
+                return stmt
             case Reserve():
-                self.symbols.report(messages.RESERVE_INSIDE, one.span)
+                self.symbols.report(messages.RESERVE_INSIDE, stmt.span)
             case Evaluate(value=value) if not place.barring_keyword and (call := _portal_call(value)):
-                return self.start_call(StartCall(one.span, call, None), place)
+                return self.start_call(StartCall(stmt.span, call, None), place)
             case Evaluate(value=Assign(target=target, value=value)) if not place.barring_keyword and (
                 call := _portal_call(value)
             ):
                 if (place_of_it := result_target(self.symbols, target, call)) is not None:
-                    return self.start_call(StartCall(one.span, call, place_of_it), place)
+                    return self.start_call(StartCall(stmt.span, call, place_of_it), place)
             case Declare(local=Local(name=str() as name) as local, value=Expr() as value) if (
                 name and not place.barring_keyword and _portal_call(value)
             ):
                 self.symbols.report(messages.TOGETHER_DECLARED, local.span, name=name, type=local.type)
             case _:
-                for value in statement_expressions(one):
+                for value in statement_expressions(stmt):
                     self.refuse(value, place)
-        return one
+        return stmt
 
-    def start_call(self, made: StartCall, place: _CallSite) -> StartCall:
+    def start_call(self, call: StartCall, place: _CallSite) -> StartCall:
         """Add a call that is started; no other call is part of it."""
         for value in [
-            *subexpressions(made.call),
-            *(subexpressions(made.target) if made.target is not None else []),
+            *subexpressions(call.call),
+            *(subexpressions(call.target) if call.target is not None else []),
         ]:
             self.refuse(value, place)
-        self.started.append(StartedCall(made, place.loop))
-        return made
+        self.started.append(StartedCall(call, place.loop))
+        return call
 
     def refuse(self, value: Expr, place: _CallSite) -> None:
         """Report the calls inside an expression."""
-        started = {id(one.call) for one in descendants(value) if isinstance(one, Async)}
-        for one in descendants(value):
-            if isinstance(one, Async):
-                self.symbols.report(messages.ASYNC_TOGETHER, one.span)
-            elif id(one) in started:
+        started = {id(part.call) for part in descendants(value) if isinstance(part, Async)}
+        for part in descendants(value):
+            if isinstance(part, Async):
+                self.symbols.report(messages.ASYNC_TOGETHER, part.span)
+            elif id(part) in started:
                 continue
-            elif _portal_call(one) is one and place.barring_keyword:
-                self.symbols.report(messages.TOGETHER_BARRED, one.span, keyword=place.barring_keyword)
-            elif _portal_call(one) is one:
-                self.symbols.report(messages.TOGETHER_INSIDE, one.span)
+            elif _portal_call(part) is part and place.barring_keyword:
+                self.symbols.report(messages.TOGETHER_BARRED, part.span, keyword=place.barring_keyword)
+            elif _portal_call(part) is part:
+                self.symbols.report(messages.TOGETHER_INSIDE, part.span)
 
 
 def _portal_call(value: Expr) -> PortalCall | Call | None:
     """The call of a portal, or of a portal of an offer, in an expression; widened or unchanged."""
-    one = value.operand if isinstance(value, ToReal) else value
-    if isinstance(one, PortalCall) or (isinstance(one, Call) and is_portal(one.method)):
-        return one
+    call = value.operand if isinstance(value, ToReal) else value
+    if isinstance(call, PortalCall) or (isinstance(call, Call) and is_portal(call.method)):
+        return call
     return None
 
 
-def _inner(one: Stmt, place: _CallSite) -> list[tuple[list[Stmt], _CallSite]]:
+def _inner(stmt: Stmt, place: _CallSite) -> list[tuple[list[Stmt], _CallSite]]:
     """The bodies of a statement that are the together's own, with their places."""
-    match one:
+    match stmt:
         case Together() | Reserve():
             return []
         case Loop():
@@ -147,4 +147,4 @@ def _inner(one: Stmt, place: _CallSite) -> list[tuple[list[Stmt], _CallSite]]:
             place = replace(place, barring_keyword=place.barring_keyword or "within")
         case Try():
             place = replace(place, barring_keyword=place.barring_keyword or "try")
-    return [(body, place) for body in nested_bodies(one)]
+    return [(body, place) for body in nested_bodies(stmt)]

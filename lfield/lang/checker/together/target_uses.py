@@ -43,7 +43,7 @@ class _Read(Struct, frozen=True):
 
 def check_uses(symbols: Symbols, block: Together, started: Sequence[StartCall], aliases: Aliases) -> None:
     """Report where a together reads, passes or assigns a target of its own, or the array of one."""
-    targets = [one.target for one in started if one.target is not None]
+    targets = [call.target for call in started if call.target is not None]
     variables = {target.local for target in targets if isinstance(target, LocalGet)}
     arrays = _filled([target for target in targets if isinstance(target, Element)], aliases)
     whole = {id(target) for target in targets}
@@ -54,9 +54,11 @@ def check_uses(symbols: Symbols, block: Together, started: Sequence[StartCall], 
             symbols.report(messages.TOGETHER_USED, span, name=name.name)
             continue
         uses = [
-            arrays[one] for one in aliases.related(name) if one in arrays and read.is_affected_by(arrays[one])
+            arrays[related]
+            for related in aliases.related(name)
+            if related in arrays and read.is_affected_by(arrays[related])
         ]
-        first = min(uses, key=lambda one: one.place, default=None)
+        first = min(uses, key=lambda use: use.place, default=None)
         if first is None or not name.name:
             continue
         if first.name is not name:
@@ -72,8 +74,8 @@ def _filled(targets: Sequence[Element], aliases: Aliases) -> dict[Named, _Filled
         name = named(base(target))
         assert name is not None
         dimensions = _dimensions(target.array.type)
-        one = found.setdefault(aliases.of(name), _Filled(name, dimensions, place))
-        one.dimensions = min(one.dimensions, dimensions)
+        filled = found.setdefault(aliases.of(name), _Filled(name, dimensions, place))
+        filled.dimensions = min(filled.dimensions, dimensions)
     return found
 
 
@@ -89,9 +91,9 @@ def _reads(block: Together) -> Iterator[_Read]:
     """Every variable and field in a together. The length of an array is not a read, since it never
     changes.
     """
-    for one in all_statements(block.body):
+    for stmt in all_statements(block.body):
         lengths: dict[int, int] = {}
-        for part in (part for value in statement_expressions(one) for part in descendants(value)):
+        for part in (part for value in statement_expressions(stmt) for part in descendants(value)):
             if isinstance(part, LibraryCall) and part.operation == ARRAY_LENGTH:
                 lengths[id(base(part.arguments[0]))] = depth(part.arguments[0])
             if (name := named(part)) is not None:

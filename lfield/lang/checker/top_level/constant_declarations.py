@@ -43,7 +43,7 @@ class _Constants:
             name, uses = waiting[-1]
             if name not in path:
                 path.append(name)
-            following = next((one for one in uses if one not in done), None)
+            following = next((use for use in uses if use not in done), None)
             if following is None:
                 waiting.pop()
                 path.pop()
@@ -57,9 +57,9 @@ class _Constants:
 
     def _report_cycle(self, cycle: Sequence[str], done: set[str]) -> None:
         """Report the constants of a cycle, which have no value, once."""
-        shown = " - ".join([*cycle, cycle[0]])
+        path = " - ".join([*cycle, cycle[0]])
         span = self._raw[cycle[0]].span
-        self._symbols.report(messages.CONSTANT_CYCLE, span, name=cycle[0], path=shown)
+        self._symbols.report(messages.CONSTANT_CYCLE, span, name=cycle[0], path=path)
         done.update(cycle)
 
     def _compute(self, raw: syntax.Constant) -> None:
@@ -70,11 +70,11 @@ class _Constants:
             return
         found = len(symbols.found.found)
         body = constant_context(symbols, raw.name, raw.span)
-        given = require_type(symbols, value(body, raw.value), kind)
-        if len(symbols.found.found) > found or UNKNOWN in (given.type, kind):
+        checked = require_type(symbols, value(body, raw.value), kind)
+        if len(symbols.found.found) > found or UNKNOWN in (checked.type, kind):
             return
         try:
-            computed = constant_value(given)
+            computed = constant_value(checked)
         except NotComputable as error:
             if error.problem:
                 symbols.report(

@@ -41,8 +41,8 @@ class NotComputable(Exception):
 def constant_value(expr: tree.Expr) -> Value:
     """The value of a checked expression. Raises NotComputable. Chains of operators may have any length."""
     known: dict[tree.Expr, Value] = {}
-    for one in [*left_spine(expr, _left), expr]:
-        known[one] = _value(one, known)
+    for operand in [*left_spine(expr, _left), expr]:
+        known[operand] = _value(operand, known)
     return known[expr]
 
 

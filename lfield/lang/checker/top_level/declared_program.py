@@ -44,10 +44,10 @@ def declare_program(symbols: Symbols, files: Sequence[syntax.ParsedFile]) -> Dec
     ]
     units = declare_members(symbols, named)
     functions = [
-        made
+        declared
         for file in files
         for function in file.functions
-        if (made := _function(symbols, function)) is not None
+        if (declared := _function(symbols, function)) is not None
     ]
     declare_constants(symbols, constants)
     return DeclaredProgram(units, functions)
@@ -88,12 +88,12 @@ def _function(symbols: Symbols, raw: syntax.Method) -> Function | None:
         kind = visible_type(symbols, unit, parameter.type)
         head.parameters.append(tree.Local(parameter.name, kind, parameter.span))
     signature = head.signature
-    for one in others:
+    for other in others:
         known = all(parameter.type is not UNKNOWN for parameter in head.parameters)
-        if known and one.head.signature == signature:
-            line = one.head.span.line
+        if known and other.head.signature == signature:
+            line = other.head.span.line
             symbols.report(messages.SAME_SIGNATURE, raw.span, signature=signature, line=line)
             return None
-    made = Function(head, raw)
-    symbols.functions[raw.name] = [*others, made]
-    return made
+    function = Function(head, raw)
+    symbols.functions[raw.name] = [*others, function]
+    return function

@@ -39,11 +39,11 @@ def check_purity(symbols: Symbols, function: Function) -> None:
         if isinstance(statement, tree.WaitUntil):
             symbols.report(messages.IMPURE, statement.span, function=name, what=_THREADS)
     for expr in _expressions(function.head.body):
-        if (what := _effect(expr)) is not None:
-            symbols.report(messages.IMPURE, _place(expr), function=name, what=what)
+        if (effect := _effect(expr)) is not None:
+            symbols.report(messages.IMPURE, _place(expr), function=name, what=effect)
         if (changed := changes.target(expr)) is not None:
-            what = f"'{changed.text}'"
-            symbols.report(messages.CHANGES_ARGUMENT, changed, function=name, what=what)
+            effect = f"'{changed.text}'"
+            symbols.report(messages.CHANGES_ARGUMENT, changed, function=name, what=effect)
 
 
 def _expressions(body: Iterable[tree.Stmt]) -> Iterator[tree.Expr]:
@@ -81,16 +81,18 @@ class _Changes:
 
     def __init__(self, head: tree.Method) -> None:
         statements = [*all_statements(head.body)]
-        caught = [one.local for each in statements if isinstance(each, tree.Try) for one in each.catches]
-        self._given = {local for local in (*head.parameters, *caught) if _is_mutable(local.type)}
+        caught = [
+            clause.local for each in statements if isinstance(each, tree.Try) for clause in each.catches
+        ]
+        self._argument_locals = {local for local in (*head.parameters, *caught) if _is_mutable(local.type)}
         self._holding: set[tree.Local] = set()
         expressions = [*_expressions(head.body)]
-        declared = [one for one in statements if isinstance(one, tree.Declare)]
+        declared = [stmt for stmt in statements if isinstance(stmt, tree.Declare)]
         before = -1
-        while before != (before := len(self._given) + len(self._holding)):
-            for one in declared:
-                if one.value is not None:
-                    self._assign(one.local, one.value)
+        while before != (before := len(self._argument_locals) + len(self._holding)):
+            for stmt in declared:
+                if stmt.value is not None:
+                    self._assign(stmt.local, stmt.value)
             for expr in expressions:
                 self._spread(expr)
 
@@ -113,7 +115,7 @@ class _Changes:
 
     def _assign(self, local: tree.Local, value: tree.Expr) -> None:
         if self._is_given(value):
-            self._given.add(local)
+            self._argument_locals.add(local)
         if self._is_holding(value):
             self._holding.add(local)
         if local in self._holding:  # a value that is stored in one later is in the other, too
@@ -130,7 +132,7 @@ class _Changes:
             return False
         match expr:
             case tree.LocalGet(local=local):
-                return local in self._given
+                return local in self._argument_locals
             case tree.FieldGet(object=inner) | tree.Element(array=inner):
                 return self._leads(inner)
             case tree.Assign(value=inner):
@@ -183,9 +185,9 @@ def _is_of_library(method: tree.Method) -> bool:
 
 def _arrays_in(expr: tree.Expr) -> Iterator[tree.Local]:
     """The variables of an expression whose parts its value may share."""
-    for one in descendants(expr):
-        if isinstance(one, tree.LocalGet) and _is_mutable(one.local.type):
-            yield one.local
+    for part in descendants(expr):
+        if isinstance(part, tree.LocalGet) and _is_mutable(part.local.type):
+            yield part.local
 
 
 def _is_mutable(kind: Type) -> bool:

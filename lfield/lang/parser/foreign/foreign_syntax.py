@@ -140,17 +140,17 @@ def lacks_operator(s: TokenStream) -> bool:
 
 def semicolon_hint(s: TokenStream) -> str | None:
     """The hint for a missing `;` that fits the tokens around it; None for the usual hint."""
-    previous, here = s.previous, s.current
+    previous, token = s.previous, s.current
     if s.at(",") and not s.first_on_line():
         return "one statement assigns one variable: write a statement for each"
-    if previous.kind is here.kind is TokenKind.STRING and previous.span.end == here.span.start:
+    if previous.kind is token.kind is TokenKind.STRING and previous.span.end == token.span.start:
         return 'a string is in double quotes on one line; a line break in it is written \\n: "a\\nb"'
     if lacks_operator(s):
         return JOIN
     if s.at(":") and not s.first_on_line():
         name, type = s.previous.text, s.ahead(1).text
         is_typed = previous.kind is TokenKind.NAME and (type in PRIMITIVES or type.isidentifier())
-        is_typed = is_typed and s.ahead(1).span.line == here.span.line
+        is_typed = is_typed and s.ahead(1).span.line == token.span.line
         return f"the type comes first: {type} {name};" if is_typed else FOREIGN_SYMBOLS[":"]
     if at_floor_division(s):
         return "// begins a comment; / divides whole numbers if both sides are int"

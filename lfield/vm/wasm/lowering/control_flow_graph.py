@@ -35,9 +35,9 @@ class LoweredInstruction(Struct, frozen=True):
 
 
 class JumpExit(Struct, frozen=True):
-    """Continues at the block `to`."""
+    """Continues at the block `target`."""
 
-    to: int
+    target: int
 
 
 class BranchExit(Struct, frozen=True):
@@ -51,27 +51,27 @@ class BranchExit(Struct, frozen=True):
 class CallExit(Struct, frozen=True):
     """Calls a method, then continues."""
 
-    what: LoweredInstruction
-    to: int
+    instruction: LoweredInstruction
+    target: int
 
 
 class ReturnExit(Struct, frozen=True):
     """Leaves the method."""
 
-    what: LoweredInstruction
+    instruction: LoweredInstruction
 
 
 class ThrowExit(Struct, frozen=True):
     """Throws the object in a slot."""
 
-    what: LoweredInstruction
+    instruction: LoweredInstruction
 
 
 class EngineCallExit(Struct, frozen=True):
-    """Exits the engine for an instruction that it does not support; continues at `to` later."""
+    """Exits the engine for an instruction that it does not support; continues at `target` later."""
 
-    what: LoweredInstruction
-    to: int | None
+    instruction: LoweredInstruction
+    target: int | None
 
 
 BlockExit = JumpExit | BranchExit | CallExit | ReturnExit | ThrowExit | EngineCallExit
@@ -99,7 +99,7 @@ class BasicBlock(Struct):
         through.
         """
         if isinstance(self.end, (CallExit, ReturnExit, ThrowExit, EngineCallExit)):
-            return self.end.what.pc, self.end.what.after
+            return self.end.instruction.pc, self.end.instruction.after
         pc = self.work[-1].after if self.work else self.pc
         return pc, pc + (not self.falls)
 
@@ -180,9 +180,9 @@ class ControlFlowGraph:
                 self.points.add(pc)
             passed = 1 if pc in self.points else since.get(pc, 0) + 1
             ends = CONTROL.get(i.row.name)
-            ways = [i.quad.a] if ends in ("JumpExit", "BranchExit") else []
-            for to in ways if ends == "JumpExit" else [*ways, i.after]:
-                since[to] = max(since.get(to, 0), passed)
+            targets = [i.quad.a] if ends in ("JumpExit", "BranchExit") else []
+            for target in targets if ends == "JumpExit" else [*targets, i.after]:
+                since[target] = max(since.get(target, 0), passed)
         return self.points
 
     def _block(self, pc: int, heads: set[int]) -> BasicBlock:
@@ -203,8 +203,8 @@ class ControlFlowGraph:
             case "JumpExit":
                 return JumpExit(i.quad.a)
             case "BranchExit":
-                ways = (i.quad.a, i.after) if i.row.name == "bnz" else (i.after, i.quad.a)
-                return BranchExit(i.quad.b, *ways)
+                targets = (i.quad.a, i.after) if i.row.name == "bnz" else (i.after, i.quad.a)
+                return BranchExit(i.quad.b, *targets)
             case "CallExit":
                 return CallExit(i, i.after)
             case "ReturnExit":
@@ -218,17 +218,17 @@ class ControlFlowGraph:
     def leads_to(self, pc: int) -> list[int]:
         """Successors of a block: normal, by exceptions, and when resumed."""
         run = self.blocks[pc]
-        ways: list[int] = []
+        successors: list[int] = []
         match run.end:
-            case JumpExit(to) | CallExit(_, to):
-                ways.append(to)
+            case JumpExit(successor) | CallExit(_, successor):
+                successors.append(successor)
             case BranchExit(_, yes, no):
-                ways += [yes, no]
-            case EngineCallExit(_, to) if to is not None:
-                ways.append(to)
+                successors += [yes, no]
+            case EngineCallExit(_, successor) if successor is not None:
+                successors.append(successor)
         inside = [
             *run.work,
-            *([run.end.what] if isinstance(run.end, (CallExit, ThrowExit, EngineCallExit)) else []),
+            *([run.end.instruction] if isinstance(run.end, (CallExit, ThrowExit, EngineCallExit)) else []),
         ]
-        targets = dict.fromkeys(target for i in inside for target in self._handler_targets.get(i.pc, ()))
-        return [*ways, *targets]
+        handlers = dict.fromkeys(target for i in inside for target in self._handler_targets.get(i.pc, ()))
+        return [*successors, *handlers]

@@ -114,10 +114,10 @@ class MethodLowering:
     def text(self) -> str:
         """The function as WebAssembly text."""
         labelled = {
-            to
+            target
             for node in self._routes.nodes.values()
             if isinstance(node, ResumeSwitch)
-            for to in node.targets.values()
+            for target in node.targets.values()
         }
         self._shape = StructuredControl(ROOT.test, self._routes.leads_to, labelled)
         return "\n".join([*self._head(), *self._shape.lines(self._node), "unreachable", *self._tail(), ")"])
@@ -175,8 +175,8 @@ class MethodLowering:
 
     def _node(self, number: int, go: Go) -> list[Item]:
         match self._routes.nodes[number]:
-            case ResumeTest(switch, on):
-                return [f"{self.slots.scope}.get $resume", "if", *go(switch), "end", *go(on)]
+            case ResumeTest(switch, entry):
+                return [f"{self.slots.scope}.get $resume", "if", *go(switch), "end", *go(entry)]
             case ResumeSwitch(targets):
                 return list(self._switch(number, targets))
             case run:
@@ -212,27 +212,28 @@ class MethodLowering:
     def _end(self, run: BasicBlock, go: Go) -> list[Item]:
         first = self._routes.first
         match run.end:
-            case JumpExit(to):
-                return go(first(to))
+            case JumpExit(target):
+                return go(first(target))
             case BranchExit(slot, yes, no):
                 condition = f"(i64.ne {self.slots.value(slot)} (i64.const 0))"
                 return [condition, "if", *go(first(yes)), "end", *go(first(no))]
-            case CallExit(what, to):
-                if not self._calls(what):
-                    return list(self.slots.exit_lines(what.pc, 1, STEP))
-                return [*self._call(what), *go(first(to))]
-            case ReturnExit(what):
+            case CallExit(instruction, target):
+                if not self._calls(instruction):
+                    return list(self.slots.exit_lines(instruction.pc, 1, STEP))
+                return [*self._call(instruction), *go(first(target))]
+            case ReturnExit(instruction):
                 value = ""
                 if self.result:
-                    value = self.slots.return_text(self.result, self._value(what.quad.a, self.result))
-                return [f"(global.set $pc (i32.const {what.pc}))", value, "br $return"]
-            case ThrowExit(what):
-                thrown = self._value(what.quad.a, "i64")
-                null = self._leave(f"(i64.eqz {thrown})", what.pc, 1)
-                return [*null, f"(global.set $word {thrown})", *self.slots.exit_lines(what.pc, 0, THROWN)]
+                    value = self.slots.return_text(self.result, self._value(instruction.quad.a, self.result))
+                return [f"(global.set $pc (i32.const {instruction.pc}))", value, "br $return"]
+            case ThrowExit(instruction):
+                thrown = self._value(instruction.quad.a, "i64")
+                null = self._leave(f"(i64.eqz {thrown})", instruction.pc, 1)
+                lines = self.slots.exit_lines(instruction.pc, 0, THROWN)
+                return [*null, f"(global.set $word {thrown})", *lines]
             case end:
                 assert isinstance(end, EngineCallExit)
-                return list(self.slots.exit_lines(end.what.pc, 0, STEP))
+                return list(self.slots.exit_lines(end.instruction.pc, 0, STEP))
 
     def _leave(self, condition: str, pc: int, refund: int, status: int = STEP) -> list[str]:
         return [condition, "if", *self.slots.exit_lines(pc, refund, status), "end"]
@@ -322,7 +323,7 @@ class MethodLowering:
             operands[f"{letter}_at"] = address_of(operands[letter])
         if i.row.name in ("putf", "pute", "append", "insert"):
             operands["t"] = "f64" if self._is_real(i) else "i64"
-        return {**operands, **self._made(i)}
+        return {**operands, **self._creation_operands(i)}
 
     def _is_real(self, i: LoweredInstruction) -> bool:
         """Whether the moved value is a real."""
@@ -337,14 +338,14 @@ class MethodLowering:
                 return self._kind(self._core.element(a)) == REAL
         return self.slots.types[a] == "f64"
 
-    def _made(self, i: LoweredInstruction) -> dict[str, str]:
+    def _creation_operands(self, i: LoweredInstruction) -> dict[str, str]:
         """For an instruction that creates an object: the size, and the code that writes the object at $p."""
-        made = {"made": reference_to("$p"), "head": str(ARRAY | i.quad.b << 8)}
+        operands = {"made": reference_to("$p"), "head": str(ARRAY | i.quad.b << 8)}
         if i.row.name == "newarray" and self._kind(i.quad.b) == GROWABLE_TYPE:
-            made["head"] = str(header(GROWABLE, i.quad.b, GROWABLE_WORDS))
-            made["plain_head"] = str(ARRAY | self._core.plain_array(i.quad.b) << 8)
+            operands["head"] = str(header(GROWABLE, i.quad.b, GROWABLE_WORDS))
+            operands["plain_head"] = str(ARRAY | self._core.plain_array(i.quad.b) << 8)
         if i.row.name not in ("lds", "new"):
-            return made
+            return operands
         words = image_of(self._prepared, i)
         size = 8 * len(words)
         if len(words) <= _UNROLLED:
@@ -352,11 +353,11 @@ class MethodLowering:
                 f"(i64.store offset={8 * n} (local.get $p) (i64.const {word}))"
                 for n, word in enumerate(words)
             )
-            return {**made, "size": str(size), "no_room": exceeds_heap(size), "image": " ".join(stores)}
+            return {**operands, "size": str(size), "no_room": exceeds_heap(size), "image": " ".join(stores)}
         name = f"$made{i.quad.b}{i.row.name}"
         self.segments[name] = struct.pack(f"<{len(words)}q", *words)
         image = f"(memory.init {name} (local.get $p) (i32.const 0) (i32.const {size}))"
-        return {**made, "size": str(size), "no_room": exceeds_heap(size), "image": image}
+        return {**operands, "size": str(size), "no_room": exceeds_heap(size), "image": image}
 
     def _calls(self, i: LoweredInstruction) -> bool:
         return i.quad.a in self._others and i.arguments[0] >= 0

@@ -68,7 +68,9 @@ def lower_program(prepared: PreparedProgram, notes: Notes = NO_NOTES) -> WasmMod
         ")",
     ]
     text = "\n".join(line for line in lines if line) + "\n"
-    return WasmModule(text, points, {prepared.program.method_name(i): why for i, why in unsupported.items()})
+    return WasmModule(
+        text, points, {prepared.program.method_name(i): reason for i, reason in unsupported.items()}
+    )
 
 
 def low_bytes(program: Program) -> int:

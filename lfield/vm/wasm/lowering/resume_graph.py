@@ -28,10 +28,10 @@ from lfield.vm.wasm.lowering.dominators import (
 
 
 class ResumeTest(Struct, frozen=True):
-    """Goes to the switch if the method is being resumed, otherwise to `on`."""
+    """Goes to the switch if the method is being resumed, otherwise to `entry`."""
 
     switch: int
-    on: int
+    entry: int
 
 
 class ResumeSwitch(Struct, frozen=True):
@@ -127,7 +127,7 @@ class ResumeGraph:
         behind = {ROOT: self.first(self._graph.entry)} | {
             entry: pc for pc, entry in self._resume_entries.items()
         }
-        tests = {entry.test: ResumeTest(entry.switch, on) for entry, on in behind.items()}
+        tests = {entry.test: ResumeTest(entry.switch, onward) for entry, onward in behind.items()}
         return {**tests, **{entry.switch: ResumeSwitch(found) for entry, found in targets.items()}}
 
     def first(self, pc: int) -> int:
@@ -137,12 +137,12 @@ class ResumeGraph:
     def leads_to(self, node: int) -> list[int]:
         """Successors of a node within the method."""
         match self.nodes[node]:
-            case ResumeTest(switch, on):
-                return [on, switch]
+            case ResumeTest(switch, entry):
+                return [entry, switch]
             case ResumeSwitch(targets):
                 return list(dict.fromkeys(targets.values()))
-            case BasicBlock(end=JumpExit(to) | CallExit(_, to)):
-                return [self.first(to)]
+            case BasicBlock(end=JumpExit(target) | CallExit(_, target)):
+                return [self.first(target)]
             case BasicBlock(end=BranchExit(_, yes, no)):
                 return list(dict.fromkeys((self.first(yes), self.first(no))))
             case _:

@@ -74,9 +74,9 @@ class LocalSlots:
 
     def exit_lines(self, pc: int, refund: int, status: int) -> list[str]:
         """Exits at an instruction; `refund` is the charge of instructions not executed."""
-        left = f"(i64.add (local.get $left) (i64.const {refund}))"
+        remaining = f"(i64.add (local.get $left) (i64.const {refund}))"
         return [
-            f"(global.set $pc (i32.const {pc})) (global.set $left {left})",
+            f"(global.set $pc (i32.const {pc})) (global.set $left {remaining})",
             f"(global.set $status (i32.const {status}))",
             "br $exit",
         ]

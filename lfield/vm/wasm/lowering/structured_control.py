@@ -37,12 +37,12 @@ class StructuredControl:
             if node in self._joins:
                 self._below[above[node]].append(node)
 
-    def _back(self, of: int, to: int) -> bool:
-        return self._place[of] >= self._place[to]
+    def _back(self, source: int, target: int) -> bool:
+        return self._place[source] >= self._place[target]
 
-    def label(self, of: int, to: int) -> str:
+    def label(self, source: int, target: int) -> str:
         """The label of a node for a branch from another one."""
-        return f"$l{to}" if self._back(of, to) else f"$b{to}"
+        return f"$l{target}" if self._back(source, target) else f"$b{target}"
 
     def lines(self, write: Write) -> list[str]:
         """The text of all nodes."""
@@ -60,14 +60,14 @@ class StructuredControl:
         """A node and the nodes merged below it."""
         below = self._below[node]
         items: list[Item] = [f"block $b{n}" for n in reversed(below)]
-        items += write(node, lambda to: self._go(node, to))
+        items += write(node, lambda target: self._go(node, target))
         for n in below:
             items += ["end", n]
         if node in self._headers:
             items = [f"loop $l{node}", *items, "end", "unreachable"]
         return items
 
-    def _go(self, of: int, to: int) -> list[Item]:
-        if to in self._joins or self._back(of, to):
-            return [f"br {self.label(of, to)}"]
-        return [to]
+    def _go(self, source: int, target: int) -> list[Item]:
+        if target in self._joins or self._back(source, target):
+            return [f"br {self.label(source, target)}"]
+        return [target]

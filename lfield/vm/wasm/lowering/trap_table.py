@@ -82,13 +82,13 @@ class TrapTable:
     def _index(self) -> str:
         """The code of the trap of an index: $word is the index of an array of $length."""
         words = self._object("IndexException")
-        most = _MOST + 16 + 8 * len(words)
+        maximum = _MOST + 16 + 8 * len(words)
         before = _stores("index ", "(i32.add (local.get $top) (i32.const 16))")
-        made = " ".join(
+        stores = " ".join(
             f"(i64.store offset={8 * n} (local.get $at) (i64.const {word}))"
             for n, word in enumerate([*text_words(""), *words])
         )
-        return f"""(if {exceeds_heap(most, "(local.get $top)")}
+        return f"""(if {exceeds_heap(maximum, "(local.get $top)")}
       (then (return (i32.const 0))))
     (memory.fill (local.get $top) (i32.const 0) (i32.const {_MOST}))
     {before}
@@ -103,7 +103,7 @@ class TrapTable:
     (i64.store (local.get $top)
       (i64.or (i64.const {STRING}) (i64.shl (i64.extend_i32_u (local.get $object)) (i64.const 32))))
     (local.set $at (i32.add (local.get $top) (i32.shl (local.get $object) (i32.const 3))))
-    {made}
+    {stores}
     (local.set $object (i32.sub (i32.add (local.get $at) (i32.const 16)) (local.get $top)))
     (local.set $size (i32.add (local.get $object) (i32.const {8 * len(words)})))
     br $made"""
