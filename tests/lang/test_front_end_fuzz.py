@@ -53,7 +53,7 @@ LENIENT = settings(max_examples=30, deadline=None, suppress_health_check=[Health
 
 
 def assert_sound(checked: CheckResult) -> None:
-    """There is a program if and only if there is no error; every type in the program is known."""
+    """The result has a program if and only if it has no error; every type in the program is known."""
     assert (checked.program is None) == bool(checked.errors)
     for diagnostic in checked.diagnostics:
         assert diagnostic.render()

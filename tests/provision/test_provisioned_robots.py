@@ -130,7 +130,7 @@ REFUSALS = {
 
 @pytest.mark.few(0)
 def test_missing_requirements_are_reported_with_the_remedy(trial):
-    """There is no password prompt and no partial installation; each host gets a remedy."""
+    """Each host gets a remedy, without a password prompt or a partial installation."""
     robots = [
         trial.bench.add(name, kind, is_known=name != "unknown") for name, (kind, *_) in REFUSALS.items()
     ]
