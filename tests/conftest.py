@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import tempfile
+import weakref
 import zlib
 from collections.abc import Callable, Coroutine, Iterator
 from types import FrameType
@@ -182,7 +183,8 @@ class FleetCleanup:
     FOLDERS = ("tests/simulate/", "tests/testing/")
 
     def __init__(self) -> None:
-        self._created: list[Any] = []
+        #: Weak references: a fleet that the test has closed itself is freed at once.
+        self._created: weakref.WeakSet[Any] = weakref.WeakSet()
         self._is_recording = self._is_installed = False
 
     @pytest.hookimpl(wrapper=True)
@@ -194,7 +196,7 @@ class FleetCleanup:
             return (yield)
         finally:
             self._is_recording = False
-            for fleet in self._created:
+            for fleet in list(self._created):
                 fleet.close()
             self._created.clear()
 
@@ -209,7 +211,7 @@ class FleetCleanup:
         def record(fleet: Any, *given: Any, **options: Any) -> None:
             make(fleet, *given, **options)
             if self._is_recording:
-                self._created.append(fleet)
+                self._created.add(fleet)
 
         module.Fleet.__init__ = record
 

@@ -237,8 +237,8 @@ def decode_stream(data: bytes) -> None:
                 link.received(piece)
         link.on_eof(None)
         recorded.append(recorder.messages)
-        same = recorded[0][:-1] == recorded[1][:-1] == recorded[2][:-1]
-        assert same, "received messages depend on the split of the bytes"
+    same = recorded[0][:-1] == recorded[1][:-1] == recorded[2][:-1]
+    assert same, "received messages depend on the split of the bytes"
 
 
 # -- a whole host ---------------------------------------------------------------------------------------
