@@ -42,7 +42,7 @@ NO_RIGHTS: frozenset[Right] = frozenset()
 #: Implied rights: `resume` includes `stop`, and `stop` includes `observe`.
 _IMPLIES = {Right.OPERATE: {Right.STOP, Right.OBSERVE}, Right.STOP: {Right.OBSERVE}}
 
-Kind = Literal["host", "person", "local", "stranger"]
+Kind = Literal["host", "person", "local", "anonymous"]
 
 #: The longest name of a host or person, in characters.
 MAX_NAME = 128
@@ -68,11 +68,13 @@ class Identity:
     def __str__(self) -> str:
         if self.kind == "local":
             return f"user {self.name} of this computer"
-        return self.name if self.kind == "person" else f"host {self.name}" if self.name else "a stranger"
+        if self.kind == "person":
+            return self.name
+        return f"host {self.name}" if self.name else "an unauthenticated peer"
 
 
 #: A peer without proof of identity.
-ANONYMOUS = Identity("stranger", "", NO_RIGHTS)
+ANONYMOUS = Identity("anonymous", "", NO_RIGHTS)
 
 
 def with_implied(rights: Iterable[Right]) -> frozenset[Right]:

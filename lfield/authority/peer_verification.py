@@ -173,7 +173,7 @@ def _foreign(identity: Identity, authority: str, expected: str) -> str:
     """The reason why a peer is not a member of the team, or not the expected host; '' for the expected
     host.
     """
-    if identity.kind == "stranger":
+    if identity.kind == "anonymous":
         return "its certificate names no host and no person: make keys with 'lfield keys'"
     if identity.authority != authority:
         return (

@@ -61,7 +61,7 @@ class Handshake:
     def first_message(self) -> Hello:
         """The first message. Raises HandshakeError if the peer must receive no data of this host."""
         identity = self.identity
-        if identity.kind == "stranger":
+        if identity.kind == "anonymous":
             self._refuse("unknown certificate authority: hosts and operators have keys from 'lfield keys'")
         if identity.kind == "local" and not identity.may:
             self._refuse(

@@ -115,10 +115,13 @@ class Session:
         self.last_idle = now
 
     def await_greeting(self, link: Link) -> None:
-        """Wait for the Hello of a caller, with a time-out. A stranger receives no data before the Hello."""
+        """Wait for the Hello of a caller, with a time-out.
+
+        An unauthenticated peer receives no data before the Hello.
+        """
         self.link = link
         self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
-        if link.identity.kind != "stranger":
+        if link.identity.kind != "anonymous":
             self.open(link)
 
     def open(self, link: Link) -> None:

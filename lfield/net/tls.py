@@ -1,7 +1,7 @@
 """TLS 1.3 with mutual authentication for one link. Sans-IO: bytes in, bytes and plain text out.
 
 OpenSSL checks the signature of the team's CA, but not the validity period, which
-`lfield.authority.peer_verification` checks. `identity` is the peer, a stranger until both certificates are
+`lfield.authority.peer_verification` checks. `identity` is the peer, ANONYMOUS until both certificates are
 verified. Before that no application data is sent.
 
 Between two processes that had a link, the next link resumes its session (RFC 8446, 2.2): without
@@ -121,7 +121,7 @@ class TlsChannel:
         self._incoming, self.outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self._tls = context.wrap_bio(self._incoming, self.outgoing, server_side=not calls, session=session)
         self._has_received = 0
-        #: The peer; a stranger until authenticated.
+        #: The peer; ANONYMOUS until authenticated.
         self.identity: Identity = ANONYMOUS
         self.proven = False
         if calls:
@@ -180,7 +180,7 @@ class TlsChannel:
     def _continue_handshake(self, data: memoryview) -> memoryview:
         """Continue the handshake. Returns the bytes after its end.
 
-        Data of a stranger is bounded; data that is no TLS is not stored.
+        Data of an unauthenticated peer is bounded; data that is no TLS is not stored.
         """
         if self._has_received == 0 and len(data) and data[0] != _HANDSHAKE:
             raise WireError("received data is not TLS: the peer is not an lfield host, or an outdated one")
@@ -200,7 +200,7 @@ class TlsChannel:
         except ssl.SSLWantReadError:
             return False
         self.identity, self.proven = identity_of(self._tls.getpeercert() or {}), True
-        if self.identity.kind != "stranger":
+        if self.identity.kind != "anonymous":
             self._on_verified(self._tls.getpeercert(binary_form=True) or b"", self.identity)
         return True
 

@@ -69,7 +69,7 @@ class Link(Protocol):
     @property
     def identity(self) -> Identity:
         """The authenticated peer. The dialling side knows it when the link is made; the accepting side may
-        see a stranger until the first message."""
+        see an unauthenticated peer until the first message."""
 
     @property
     def is_answered(self) -> bool:

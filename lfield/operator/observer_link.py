@@ -110,7 +110,7 @@ async def send_request(
     asking, link = _RequestLink(request, host, crl), None
     try:
         link = await transport.connect(address, asking, host or "")
-        if link.identity.kind == "stranger":
+        if link.identity.kind == "anonymous":
             raise KeysError(
                 f"the host at {address} accepts commands only with keys: 'lfield keys person' "
                 "creates them; put them into ~/.config/lfield/keys/me, or name their folder with --keys"

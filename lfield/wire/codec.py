@@ -58,8 +58,8 @@ _CHECKSUM = struct.Struct(">I")
 #: first one begins.
 _TRANSFER_START, _TRANSFER_CHECKED = struct.Struct(">IIH"), struct.Struct(">IH")
 
-#: The maximum size of a message before the handshake, in bytes: strangers may send such messages and occupy
-#: memory.
+#: The maximum size of a message before the handshake, in bytes: unauthenticated peers may send such messages
+#: and occupy memory.
 HANDSHAKE_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
 _OBSERVER_LIMITS = HANDSHAKE_LIMITS | dict.fromkeys((CONTROL, COMPRESSED), 8 * MAX_TEXT)
 _HOST_LIMITS = HANDSHAKE_LIMITS | dict.fromkeys((CONTROL, COMPRESSED), 1 << 20)

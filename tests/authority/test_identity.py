@@ -112,7 +112,7 @@ def test_text_form_of_identities() -> None:
     assert str(Identity("host", "alpha", NO_RIGHTS)) == "host alpha"
     assert str(Identity("person", "anna", NO_RIGHTS)) == "anna"
     assert str(Identity("local", "root", ALL_RIGHTS)) == "user root of this computer"
-    assert str(ANONYMOUS) == "a stranger"
+    assert str(ANONYMOUS) == "an unauthenticated peer"
     assert Identity("local", "root", ALL_RIGHTS).valid_until == math.inf
 
 

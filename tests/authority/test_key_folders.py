@@ -355,7 +355,7 @@ def test_list_numbers_increase_after_restoring_a_backup(ledger: Ledger, tmp_path
 def test_unknown_certificate_is_revoked_by_its_full_number(ledger: Ledger) -> None:
     serial = f"{1 << 158:x}"
     (made,) = ledger.revoke_serial(serial, AT)
-    assert (str(made), ledger.revoked.serials) == ("a stranger", {serial})
+    assert (str(made), ledger.revoked.serials) == ("an unauthenticated peer", {serial})
     with pytest.raises(KeysError, match="no certificates have a number that begins with"):
         ledger.revoke_serial(serial[:36], AT)
     with pytest.raises(KeysError, match="is revoked already"):

@@ -155,7 +155,7 @@ def decode_names(data: bytes) -> None:
         tree = unpack(data)
         if isinstance(tree, dict):
             who = identity_of(tree)
-            assert who.kind in ("stranger", "host", "person")
+            assert who.kind in ("anonymous", "host", "person")
             str(who)
 
 

@@ -5,8 +5,8 @@ who stops the team, so there are token buckets:
 
 - each sender (address and port) has one for decoded datagrams and one for checks, and all senders of one
   address together have one for decoded datagrams;
-- all senders of one address (of a /64 with IPv6) have at most half of the capacity for strangers;
-- strangers that name a certificate known here share one bucket, and all others another one;
+- all senders of one address (of a /64 with IPv6) have at most half of the capacity for unverified senders;
+- unverified senders that name a certificate known here share one bucket, and all others another one;
 - a sender with a valid signature has a bucket with its certificate, which other senders drain only with
   datagrams that forge the address of this sender.
 """

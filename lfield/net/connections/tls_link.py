@@ -194,7 +194,7 @@ class TlsLink(StreamLink):
             self._channel.end()
             if self._calls:
                 self._tls.keep_session(self.peer, self._channel)
-        # Release the TLS state now, not at garbage collection: links of strangers would accumulate until
+        # Release the TLS state now, not at garbage collection: unauthenticated links would accumulate until
         # then.
         self._channel = None
         if not self._calls or (self._proven.done() and not self._proven.cancelled()):

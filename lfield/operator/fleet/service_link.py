@@ -134,7 +134,7 @@ async def open_service_link(
     handler = ServiceLink(host, crl)
     link = await transport.connect(address, handler, host)
     try:
-        if link.identity.kind == "stranger":
+        if link.identity.kind == "anonymous":
             raise KeysError(
                 f"the service at {address} accepts commands only with keys: 'lfield keys init --person NAME' "
                 "makes them; --keys names their directory"

@@ -173,7 +173,7 @@ class EventLink(ObserverLink):
     def greet(self, link: Link) -> Handshake:
         """Send the Hello once; the host's may arrive first. Raises KeysError."""
         if self._greeting is None:
-            if link.identity.kind == "stranger":
+            if link.identity.kind == "anonymous":
                 raise KeysError(
                     f"the host at {link.peer} accepts only observers with keys: 'lfield keys person' makes "
                     "them, and --keys, $LFIELD_KEYS or ~/.config/lfield/keys/me names their folder"
