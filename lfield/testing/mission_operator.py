@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 class _OperatorLink:
     # The link of the operator; answers are ignored.
-    peer, who, send = (
+    peer, identity, send = (
         "the test",
         Identity("person", "the test", ALL_RIGHTS),
         staticmethod(lambda message: None),

@@ -31,7 +31,7 @@ coordinator Walker {
 class Desk:
     """Sends orders and ignores the answers."""
 
-    who = "somebody"
+    identity = "somebody"
 
     def send(self, message: object) -> None:
         """Ignore the answer."""

@@ -275,7 +275,7 @@ def test_a_device_used_for_a_remote_boss_is_safe_when_the_lease_of_its_host_ends
 class Desk:
     """Sends orders and ignores the answers."""
 
-    who = "somebody"
+    identity = "somebody"
 
     def send(self, message: object) -> None:
         """Ignore the answer."""

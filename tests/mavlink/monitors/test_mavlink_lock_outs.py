@@ -44,7 +44,7 @@ agents:
 class Operator:
     """Lifts the lock-out of the devices of a host."""
 
-    who = Identity("person", "anna", ALL_RIGHTS)
+    identity = Identity("person", "anna", ALL_RIGHTS)
 
     def send(self, message: object) -> None:
         """The host answers."""

@@ -204,7 +204,7 @@ def test_goto_is_refused_until_the_origin_is_reported(bench):
         await flight.until(lambda: "armed" in flight.values)
         assert "position" not in flight.values
         assert "heading" not in flight.values
-        assert any("no position in the team's frame yet" in note for note in flight.notes)
+        assert any("frame origin unknown" in note for note in flight.notes)
         await device.execute("arm", [])
         await device.execute("takeoff", [4.0])
         with pytest.raises(DeviceError, match="goTo refused: the position in the team's frame is not"):

@@ -25,7 +25,7 @@ class RobotLink:
     """A link to a robot that leaves the network at `gone`, and has stopped after `busy` seconds."""
 
     peer = "bravo"
-    who = Identity("host", "bravo", ALL_RIGHTS)
+    identity = Identity("host", "bravo", ALL_RIGHTS)
 
     def __init__(self, busy: float, gone: float = LONG) -> None:
         self._busy, self._gone = busy, gone

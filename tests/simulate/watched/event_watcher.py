@@ -46,7 +46,7 @@ class EventWatcher:
     fleet: Fleet
     host: str
     reads: bool = True
-    who: str = "the eye"
+    identity: str = "the eye"
     batches: list[EventBatch] = field(default_factory=list)
     refused: str = ""
     others: list[Control] = field(default_factory=list)
