@@ -95,6 +95,10 @@ async def run_process(
     return process.returncode or 0, output, errors
 
 
+#: Bytes of one read of `read_until_end`.
+_READ_SIZE = 8192
+
+
 def read_until_end(descriptor: int, on_data: Callable[[bytes], None]) -> None:
     """Pass the bytes of a descriptor to `on_data` in the running loop, and b"" at its end.
 
@@ -215,9 +219,6 @@ class SimulatedLoop(Protocol):
     async def serve(self, fake: ServedFake) -> None:
         """Run a simulated device of this simulation until it is stopped."""
 
-
-#: Bytes of one read of `read_until_end`.
-_READ_SIZE = 8192
 
 #: File descriptors needed to start a process, with a margin.
 _DESCRIPTORS_PER_PROCESS = 12

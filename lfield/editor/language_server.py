@@ -73,6 +73,7 @@ class _Symbols(list[_JsonObject]):
 
 def _converter() -> Any:
     """The converter of pygls, except for outlines."""
+    # The function of pygls has no types.
     converter: Any = default_converter()  # type: ignore[no-untyped-call]
     converter.register_unstructure_hook(_Symbols, lambda symbols: symbols)
     return converter

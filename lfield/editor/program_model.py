@@ -161,6 +161,7 @@ class ProgramModel:
         parts = [*self._generated.parts, *self.parts()]
         owners = {part.source: part for part in parts}
         program = declare_program(self.symbols, [part.file for part in parts])
+        # The span of a parsed unit has a source.
         self._declared = [(owners[unit.unit.span.source], unit) for unit in program.units]  # type: ignore[index]
         self._functions = [(owners[function.head.span.source], function) for function in program.functions]  # type: ignore[index]
         declarations = (

@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from lfield.simulate.host_fleet import Fleet
 
 
-class _OperatorLink:
-    # The link of the operator; answers are ignored.
-    peer, identity, send = (
-        "the test",
-        Identity("person", "the test", ALL_RIGHTS),
-        staticmethod(lambda message: None),
-    )
+class OperatorLink:
+    """The link of an operator with all rights, who ignores the answers."""
+
+    peer = "the test"
+    identity = Identity("person", peer, ALL_RIGHTS)
+
+    def send(self, message: object) -> None:
+        """Ignore an answer."""
 
 
 class MissionOperator:
@@ -42,7 +43,7 @@ class MissionOperator:
         order = Pause(self._orders.to_bytes(16), lift)
         for life in self._fleet.lives.values():
             command = with_epoch(order, life.core.orders.epochs)
-            life.process.loop.enter(partial(life.host.on_message, "", command, cast(Link, _OperatorLink)))
+            life.process.loop.enter(partial(life.host.on_message, "", command, cast(Link, OperatorLink())))
 
     def type_line(self, host: str, text: object) -> None:
         """Enters a line where a host runs, at the end of the present moment. Raises MissionTestError."""

@@ -7,6 +7,7 @@ from secrets import token_bytes
 
 from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.testing.mission_operator import OperatorLink
 from lfield.wire.observer_messages import Pause, with_epoch
 
 PROGRAM = """
@@ -28,18 +29,9 @@ coordinator Walker {
 """
 
 
-class Desk:
-    """Sends orders and ignores the answers."""
-
-    identity = "somebody"
-
-    def send(self, message: object) -> None:
-        """Ignore the answer."""
-
-
 def say(life: HostLife, *, lift: bool) -> None:
     order = with_epoch(Pause(token_bytes(16), lift), life.core.orders.epochs)
-    life.process.loop.enter(lambda: life.host.on_message("", order, Desk()))
+    life.process.loop.enter(lambda: life.host.on_message("", order, OperatorLink()))
 
 
 def latched(fleet: Fleet) -> str:

@@ -10,6 +10,7 @@ import pytest
 from lfield.journal.records import PendingCallRecord
 from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.testing.mission_operator import OperatorLink
 from lfield.wire.observer_messages import EmergencyStop, Pause, with_epoch
 
 PROGRAM = """
@@ -220,7 +221,7 @@ def test_a_call_of_a_remote_boss_ends_when_its_host_is_paused(tmp_path: Path) ->
 
     def say(*, lift: bool) -> None:
         life = team.lives["bravo"]
-        life.process.loop.enter(lambda: life.host.on_message("", order(life, lift=lift), Desk()))
+        life.process.loop.enter(lambda: life.host.on_message("", order(life, lift=lift), OperatorLink()))
 
     say(lift=False)
     team.run(2.0)
@@ -270,12 +271,3 @@ def test_a_device_used_for_a_remote_boss_is_safe_when_the_lease_of_its_host_ends
     for host in ("alpha", "carol"):
         team.heal("bravo", host)
     team.until("told: the lease of bravo has ended")
-
-
-class Desk:
-    """Sends orders and ignores the answers."""
-
-    identity = "somebody"
-
-    def send(self, message: object) -> None:
-        """Ignore the answer."""
