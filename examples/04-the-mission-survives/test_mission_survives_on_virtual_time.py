@@ -18,7 +18,7 @@ def test_each_portal_is_called_once_per_step_without_failures(lfield_mission):
     assert [call_count(team, portal) for portal in ("flyTo", "driveTo", "reach", "moveTo")] == [2, 1, 2, 1]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("line", "seconds", "host", "step"),
     [

@@ -60,6 +60,7 @@ def assert_beam_delivered(team):
     assert math.dist(beam_position(team), GOAL) < TOLERANCE
 
 
+@pytest.mark.few(0)
 def test_two_copters_carry_the_beam_and_two_the_crates(lfield_mission):
     team = lfield_mission("mission.dL")
     draw_tracks.run_mission(team, bob_fails=False)

@@ -45,6 +45,7 @@ def has_visited(team, device, place):
     return any(math.dist((point.north, point.east), place) < 1.5 for point in team.tracks[device])
 
 
+@pytest.mark.few(0)
 def test_rovers_bring_one_kit_to_each_person_during_the_search(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)

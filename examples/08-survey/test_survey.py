@@ -86,6 +86,7 @@ def test_other_vehicle_flies_the_strip_of_a_lost_computer(lfield_mission, tmp_pa
     assert_other_flies_all_strips(team, path, failed, other)
 
 
+@pytest.mark.few(0)
 def test_survey_continues_after_the_loss_of_the_base_computer(lfield_mission, tmp_path):
     path = deployment(tmp_path, 2, TINY)
     keep_first_copters(path, 2)

@@ -160,6 +160,7 @@ def test_disconnected_robot_cannot_report_a_returned_tuple(field):
     assert field.said("once more: ", "north") <= 5, "retries must have intervals"
 
 
+@pytest.mark.few(0)
 def test_interrupted_wait_is_resumed(field):
     """Without a majority of hosts, waiting clients get an error; later they repeat the call."""
     field.run(until='scout takes ("row", 1)')

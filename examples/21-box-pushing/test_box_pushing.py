@@ -65,6 +65,7 @@ def test_failed_rover_is_left_behind_and_two_continue(lfield_mission, rover, fau
     assert math.dist(team.fake(f"{rover}.wheels").place[:2], GOAL[:2]) > 1.0
 
 
+@pytest.mark.few(0)
 def test_rover_with_a_lost_computer_stops_and_two_continue(lfield_mission):
     team = lfield_mission("mission.dL")
     team.at(12.0, lambda: team.crash("port"))

@@ -113,7 +113,7 @@ def test_predator_with_a_restarted_host_returns_to_the_hunt(lfield_mission):
     assert is_prey_surrounded(team)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     "world", ["mind=random size=8", "prey=2", "predators=5 mind=away", "moves=4 prey_moves=4 predators=3"]
 )

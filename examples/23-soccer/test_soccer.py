@@ -60,6 +60,7 @@ def test_same_seed_gives_the_same_match(lfield_mission):
     assert matches[0] != matches[2]
 
 
+@pytest.mark.few(0)
 def test_two_players_continue_after_a_failure_of_the_third(lfield_mission):
     team = lfield_mission("mission.dL", seed=1)
     team.at(8.0, lambda: team.fake("cid.wheels").set("broken=true"))

@@ -136,6 +136,7 @@ for name, module in FIGURES.items():
 """
 
 
+@pytest.mark.few(0)
 def test_every_figure_has_sizes_or_a_reason_for_none():
     command = [sys.executable, "-c", _SIZES]
     output = subprocess.run(

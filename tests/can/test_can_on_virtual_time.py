@@ -73,6 +73,7 @@ def test_drives_turn_without_a_thread(mills):
     assert threading.active_count() == before
 
 
+@pytest.mark.few(0)
 def test_same_seed_gives_the_same_log_on_a_lossy_bus(mills):
     """SDO requests and answers are lost and repeated, on virtual time."""
     logs = []

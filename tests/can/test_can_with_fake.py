@@ -62,7 +62,7 @@ def gripper(binding):
     return make
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("door", DOORS)
 async def test_three_devices_on_one_bus(door, drive, odrive, gripper):
     devices = (DRIVE, ODRIVE, f"dbc:{GRIPPER}")
@@ -109,6 +109,7 @@ BA_ "GenMsgCycleTime" BO_ 257 50;
 """
 
 
+@pytest.mark.few(0)
 async def test_can_fd_frames_with_profile_5_pass_a_serial_adapter(binding, tmp_path):
     """64 bytes at the second bit rate through a serial adapter, both ways, each with counter and CRC."""
     path = tmp_path / "lidar.dbc"

@@ -59,6 +59,7 @@ def collections():
     gc.callbacks.remove(note)
 
 
+@pytest.mark.few(0)
 def test_the_garbage_collector_is_off_during_compilation(tmp_path, collections):
     path = tmp_path / "mission.L"
     path.write_text(SHAPES["statements"](2000), encoding="utf-8")

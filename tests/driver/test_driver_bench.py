@@ -200,6 +200,7 @@ def test_fake_or_device_that_fails_to_start_reports_the_reason(capfd):
         asyncio.run(scenario())
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_tests_of_a_new_driver_pass(project):
     path = os.pathsep.join([str(project), os.environ.get("PYTHONPATH", "")])

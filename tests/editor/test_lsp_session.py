@@ -157,7 +157,7 @@ def test_positions_are_in_the_encoding_of_the_editor(tmp_path: Path) -> None:
             assert found["range"]["start"] == {"line": 1, "character": text.split("\n")[1].index("n)")}
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("method", "params", "code"),
     [
@@ -181,6 +181,7 @@ def test_a_malformed_request_is_answered(session: LspSession, method: str, param
     assert session.end() == 0
 
 
+@pytest.mark.few(0)
 def test_text_without_a_file_has_findings(session: LspSession) -> None:
     document = {"uri": "untitled:Untitled-1", "languageId": "l", "version": 1, "text": "class A { int n; }"}
     session.notify("textDocument/didOpen", {"textDocument": document})
@@ -203,6 +204,7 @@ def test_error_without_pygls_has_the_command_that_installs_it(tmp_path: Path) ->
     assert done.stderr == "lfield: 'lfield lsp' needs pygls: pip install 'lfield[desk]'\n"
 
 
+@pytest.mark.few(0)
 def test_server_ends_when_the_editor_closes_its_input(session: LspSession) -> None:
     session.open("mission.L")
     session.close_input()

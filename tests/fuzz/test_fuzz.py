@@ -81,6 +81,7 @@ resource Sleeper { init(string[] arg) { } loop beat at 1.0 { sleep(1.0e10); } }
 
 
 # 2,000 examples take three minutes on an idle computer, and hypothesis shrinks for up to five minutes.
+@pytest.mark.few(0)
 @pytest.mark.timeout(1200)
 def test_engines_agree_on_programs_of_hypothesis(pytestconfig: pytest.Config) -> None:
     @given(DICE, st.integers(0, 1000))

@@ -95,7 +95,7 @@ class FrameDamage:
         self._link = None
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("wanted", "rounds"), [(is_hop, 900), (is_delta, 1000), (is_answer, 500)], ids=["hop", "delta", "answer"]
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from kit_findings import failed, not_run
 
 DBC = Path(__file__).parents[2] / "sim-adapters/lfield_sim/can/gripper.dbc"
@@ -38,6 +39,7 @@ def test_drive_odrive_and_dbc_device_pass_the_kit(desk, run_kit_on):
     )
 
 
+@pytest.mark.few(0)
 def test_protected_cyclic_commands_and_dronecan_nodes_pass_the_kit(desk, run_kit_on):
     """The fake column checks counter, checksum and deadline; one servo requests a dynamic node id."""
     protected = "[SteeringCommand.{0}, SteeringStatus.{0}]"

@@ -108,6 +108,7 @@ async def command_speed_from_another_station(endpoint, speed):
         await asyncio.sleep(0.05)
 
 
+@pytest.mark.few(0)
 def test_speed_beyond_the_limit_fails_its_check(desk, run_kit_on):
     (link,) = vehicles(desk, "1:copter:ardupilot --set-up --param WPNAV_SPEED=500")
     check = "its speed limit is enforced"

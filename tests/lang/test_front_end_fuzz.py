@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lang_expectations import GOLDEN, ROVER
@@ -161,6 +162,7 @@ def test_deep_nesting_is_an_error() -> None:
         assert "L211" in {d.code for d in checked.diagnostics}, text[:40]
 
 
+@pytest.mark.few(0)
 def test_long_chain_with_errors_is_no_deep_nesting() -> None:
     length = 5_000
     bodies = ["x = " + "1 + " * length + "1;", "x" + ".y" * length + ";", "x" + "[0]" * length + ";"]
@@ -181,6 +183,7 @@ def test_deepest_allowed_program_checks() -> None:
         assert check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}").program is not None
 
 
+@pytest.mark.few(0)
 def test_together_calls_in_long_chains_are_no_deep_nesting() -> None:
     length = 3_000
     ladder = "if (x > 1) arm.go(); " + "else if (x > 2) arm.go(); " * length

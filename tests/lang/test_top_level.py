@@ -132,6 +132,7 @@ def test_const_and_enum_are_names_elsewhere(word: str) -> None:
     assert [d.render() for d in check_text(text).diagnostics] == []
 
 
+@pytest.mark.few(0)
 def test_long_chain_and_deep_cycle_need_no_recursion() -> None:
     chain = "const int A0 = 1; " + " ".join(f"const int A{i} = A{i - 1} + 1;" for i in range(1, 3000))
     found = check_text(

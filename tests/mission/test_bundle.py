@@ -122,6 +122,7 @@ def test_addresses_are_not_part_of_the_team(rich: Mission) -> None:
     assert bundle.decode(moved).team.addresses == ("10.0.0.7:1", "dock:9000")
 
 
+@pytest.mark.few(0)
 def test_the_same_files_give_the_same_bundle_in_any_folder_and_process(tmp_path: Path) -> None:
     made = []
     for number, folder in enumerate((tmp_path / "here", tmp_path / "there" / "deep")):

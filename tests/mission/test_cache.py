@@ -95,6 +95,7 @@ def test_a_new_file_causes_a_build(tmp_path: Path, built: list[BuildRequest]) ->
     assert len(built) == 2
 
 
+@pytest.mark.few(0)
 def test_only_python_modules_of_a_module_folder_count(
     tmp_path: Path, built: list[BuildRequest], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -162,6 +162,7 @@ class Hops:
             self._read = len(self._caller.wire.said)
 
 
+@pytest.mark.few(0)
 async def test_successive_hops_are_neither_delayed_nor_closed(inn, /):
     """One coordinator whose block costs a slow computer a millisecond, as fast as possible."""
     bravo, block, began, count = member(inn, "bravo", 1e-3), b"block", inn.loop.time(), 0
@@ -183,6 +184,7 @@ def large(agent: str = "tom", size: int = 20 << 10) -> bytes:
     return encode_transfer(replace(transfer(size), agent=agent), BLOCK) + bytes(size)
 
 
+@pytest.mark.few(0)
 async def test_large_hops_that_wait_for_answers_are_not_closed(inn, /):
     """Several coordinators at once; each is sent again after its answer."""
     bravo, began, agents = member(inn, "bravo"), inn.loop.time(), ("tom", "ann", "eve")

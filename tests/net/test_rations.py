@@ -112,6 +112,7 @@ def test_a_flood_on_the_next_link_has_five_seconds_again():
     assert computer.closed["bravo"] - first >= MAX_EXCESS_TIME
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("agents", [1, 5, 30])
 @pytest.mark.parametrize("cost", [2e-4, 8e-4, 5e-3], ids=["fast", "slow", "very slow"])
 def test_hops_are_no_flood_on_a_computer_of_any_speed(agents, cost):

@@ -43,6 +43,7 @@ def test_text_of_a_foreign_manifest_is_escaped_for_the_terminal(there, capsys):
         assert "\x07" not in said
 
 
+@pytest.mark.few(0)
 def test_a_foreign_manifest_with_thousands_of_hosts_is_a_few_lines(there, capsys):
     there(claimed(*(f"h{number}" for number in range(4000))))
     for command, status in (("ps", 69), ("estop", 3)):

@@ -127,6 +127,7 @@ def test_metadata_names_licence_extras_and_entry_points(wheel):
         assert f"{name} = lfield_sim.{name}:SIM" in points
 
 
+@pytest.mark.few(0)
 def test_installed_wheel_runs(installed, tmp_path):
     (tmp_path / "hello.L").write_text(PROGRAM)
     (tmp_path / "hello.dL").write_text("//Hello:tom@alpha\n")

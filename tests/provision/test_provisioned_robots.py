@@ -56,6 +56,7 @@ def alpha(trial):
     return robot
 
 
+@pytest.mark.few(0)
 def test_interrupted_provisioning_of_a_bare_robot_is_completed(trial, alpha):
     assert "Python" in alpha.run("/opt/lfield/current/bin/python --version")
     assert alpha.run("runuser -u lfield -- /opt/lfield/current/bin/lfield --version").startswith("lfield ")

@@ -39,6 +39,7 @@ def test_a_core_that_reads_the_real_time_is_detected(walked, monkeypatch):
     assert compare(found, at_checkpoints=False).first is not None
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_another_hash_seed_changes_nothing(tmp_path):
     run_into(tmp_path / "records", walk_mission(tmp_path), 6.0)

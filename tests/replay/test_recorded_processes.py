@@ -154,7 +154,7 @@ def test_a_recording_stays_within_its_limit_and_the_rest_is_replayed(tmp_path: P
     assert found.digests > 20
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("options", [(), ("--no-record",)])
 def test_on_hardware_a_recording_is_the_default(tmp_path: Path, options: tuple[str, ...]) -> None:
     """The device is simulated, but lfield does not detect it: the driver reaches it over a real bus."""

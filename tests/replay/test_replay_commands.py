@@ -108,6 +108,7 @@ def test_missing_hosts_of_a_team_are_named(recorded: Path, tmp_path: Path) -> No
     assert found["digests"] > 50
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_a_changed_input_is_a_difference(recorded: Path, tmp_path: Path) -> None:
     """The first difference is named with its host, time and values."""

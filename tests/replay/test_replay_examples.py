@@ -38,7 +38,7 @@ def drivers(monkeypatch, tmp_path):
         monkeypatch.syspath_prepend(folder)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("engine", ["reference", "wasm"])
 @pytest.mark.parametrize("name", MISSIONS)
 def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, engine, monkeypatch):
@@ -62,7 +62,7 @@ def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
         assert compare(host, at_checkpoints=False).first is None
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("name", MISSIONS)
 def test_the_program_of_an_example_makes_all_recorded_calls(name):
     """`lfield test --from` compares the whole flight."""

@@ -148,6 +148,7 @@ def stories(draw: st.DrawFn) -> tuple[int, list[list[str]], list[tuple[int, int,
     return hosts, sets, draw(st.lists(st.tuples(number, number, number, number), max_size=60))
 
 
+@pytest.mark.few(0)
 @given(stories())
 @settings(max_examples=1000)
 def test_late_repeated_and_lost_messages_give_one_outcome(

@@ -75,6 +75,7 @@ def stamps(fleet: Fleet) -> Counter[str]:
     return Counter(text.strip() for text in said if text.startswith("w") and text.endswith("\n"))
 
 
+@pytest.mark.few(0)
 def test_without_faults_all_walkers_hop_and_nothing_is_lost(mission: Mission) -> None:
     fleet = Fleet(mission, seed=1, watch=one_copy)
     fleet.run(30.0)

@@ -75,7 +75,7 @@ def logged(fleet: Fleet, words: str) -> list[str]:
     return [host for _, host, text in fleet.log if words in text]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("hosts", [3, 9, 12, 40])
 def test_an_idle_host_sends_at_most_eight_messages_between_two_heartbeats(tmp_path, monkeypatch, hosts):
     sent: list[str] = []
@@ -112,7 +112,7 @@ def test_walkers_reach_all_hosts_with_each_call_made_once_and_unneeded_links_clo
     assert set(held.values()) == {2}
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("seed", range(6))
 def test_two_hosts_that_dial_each_other_at_once_have_one_link(tmp_path, seed):
     fleet = Fleet(team(tmp_path, 24), seed)
@@ -150,6 +150,7 @@ def test_all_hosts_learn_the_end_when_a_host_without_coordinator_crashes(tmp_pat
     assert len(fleet.left) == 15
 
 
+@pytest.mark.few(0)
 def test_all_hosts_report_unheard_when_the_host_with_the_coordinator_crashes(tmp_path):
     fleet = Fleet(
         team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 3, one_copy, options=FleetOptions(lost_after=5.0)
@@ -173,7 +174,7 @@ def test_all_hosts_report_a_loss_when_that_host_returns_without_the_coordinator(
     assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exit_status.FAILED)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("seed", range(3))
 def test_cut_links_make_no_host_count_as_silent(tmp_path, seed):
     """Host 9 has no reachable neighbour left; others still have contact with it."""

@@ -64,6 +64,7 @@ def latched(fleet: Fleet, host: str) -> dict[str, str]:
     return dict(fleet.lives[host].host.guards.latched)
 
 
+@pytest.mark.few(0)
 def test_a_vehicle_waits_its_time_for_a_coordinator_that_died_two_hosts_away(mission: Mission) -> None:
     """The intermediate host, bravo, is alive. No other vehicle has been used."""
     fleet = Fleet(mission, 1)

@@ -89,6 +89,7 @@ def holder(fleet: Fleet) -> str:
         fleet.run(0.01)
 
 
+@pytest.mark.few(0)
 def test_a_home_that_is_no_member_starts_and_ends_coordinators_under_leases(tmp_path: Path) -> None:
     (tmp_path / "mission.devices.yaml").write_text("recovery: {members: [bravo, charlie, watch]}\n")
     team = TEAM.replace("//Walker", "//@watch\n//Walker")
@@ -112,6 +113,7 @@ def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: 
     assert not logged(fleet, "bug in lfield")
 
 
+@pytest.mark.few(0)
 def test_the_end_of_the_mission_is_not_unknown_while_a_majority_may_recover(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 1, options=FleetOptions(lost_after=3.0))
     run_until(fleet, "stamp 7\n", 30.0)
@@ -147,6 +149,7 @@ def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
     assert len(logged(fleet, "complete")) == 1
 
 
+@pytest.mark.few(0)
 def test_a_host_that_returns_in_time_continues_itself(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 4)
     run_until(fleet, "stamp 10\n", 30.0)
@@ -191,6 +194,7 @@ def test_without_a_majority_no_coordinator_acts_and_with_one_all_continue(tmp_pa
     run_until(fleet, "complete", 90.0)
 
 
+@pytest.mark.few(0)
 def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None:
     (tmp_path / "mission.devices.yaml").write_text("start: {without: [bravo]}\n")
     fleet = Fleet(mission(tmp_path), 7)
@@ -203,6 +207,7 @@ def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None
     run_until(fleet, "stamp 0", 10.0)
 
 
+@pytest.mark.few(0)
 def test_a_member_that_lost_its_promises_grants_no_lease_before_all_have_answered(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 11)
     run_until(fleet, "stamp 5\n", 30.0)
@@ -246,6 +251,7 @@ def test_after_a_permanent_loss_the_others_continue_with_new_members(tmp_path: P
     run_until(fleet, "complete", 120.0)
 
 
+@pytest.mark.few(0)
 def test_a_new_computer_with_the_name_of_a_member_counts_as_a_new_member(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 14)
     run_until(fleet, "stamp 5\n", 30.0)
@@ -282,6 +288,7 @@ def test_a_member_with_an_unreadable_promise_grants_no_lease_before_all_have_ans
     run_until(fleet, "complete", 120.0)
 
 
+@pytest.mark.few(0)
 def test_a_coordinator_with_interval_zero_waits_for_its_host(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, interval=-1.0), 8)
     run_until(fleet, "stamp 10\n", 30.0)
@@ -318,6 +325,7 @@ def spoil(fleet: Fleet, host: str) -> CoordinatorCopy:
     return copy
 
 
+@pytest.mark.few(0)
 def test_an_unreadable_checkpoint_is_reported_once_and_no_older_copy_continues(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 3)
     run_until(fleet, "stamp 10\n", 30.0)

@@ -56,6 +56,7 @@ def test_the_same_seed_gives_the_same_story():
     assert len(clocks) == 2
 
 
+@pytest.mark.few(0)
 def test_faults_are_set_in_a_story_and_at_a_time(desk, fake, servo):
     async def story(servo):
         await servo.call("torque", True)

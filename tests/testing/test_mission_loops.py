@@ -82,6 +82,7 @@ def stands(team: MissionTeam) -> bool:
     return abs(moved(team) - before) < 0.5
 
 
+@pytest.mark.few(0)
 def test_an_upper_loop_cancels_the_motion_of_a_lower_one(rover):
     team = rover("sleep(6); rover.meet(); sleep(0.5); rover.move();")
     team.run(until="stay")

@@ -130,7 +130,7 @@ coordinator Boss {
 """
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("frame", "to"),
     [

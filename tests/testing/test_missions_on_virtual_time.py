@@ -78,6 +78,7 @@ def test_the_same_seed_gives_the_same_flight_and_another_does_not(lfield_mission
     assert seen[0][0] != seen[2][0]
 
 
+@pytest.mark.few(0)
 def test_a_failed_motor_and_an_empty_battery_are_reported_by_the_driver(lfield_mission):
     team = lfield_mission(FLIGHT, fakes={"wing.fc": ["battery=0.5"]})
     team.at(15.0, lambda: team.fake("lead.fc").set("motor_failure=true"))
@@ -226,6 +227,7 @@ def test_an_invalid_program_is_shown_as_by_lfield_check(walk):
     assert "^" in str(failed.value)
 
 
+@pytest.mark.few(0)
 def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     team = lfield_mission(FLIGHT)
     team.run(until="lead: at north")

@@ -79,6 +79,7 @@ def test_lfield_test_reports_the_result_by_its_status(project):
     assert not (project / "tracks").exists(), "nobody has moved"
 
 
+@pytest.mark.few(0)
 def test_arguments_of_lfield_test_may_be_in_any_order(project):
     (project / "test_other.py").write_text("def test_it_ends_too():\n    pass\n")
     words = ("-k", "it_ends", "test_walk.py", "-x", "test_other.py", "-q")
@@ -126,6 +127,7 @@ def test_a_configuration_that_pytest_refuses_is_ignored(project, name):
     assert "warning" not in said
 
 
+@pytest.mark.few(0)
 def test_the_rest_of_a_configuration_with_a_refused_option_is_kept(project):
     (project / "pytest.ini").write_text(
         FOREIGN["option"][1] + "filterwarnings = error\npythonpath = sources\n"
@@ -139,12 +141,14 @@ def test_the_rest_of_a_configuration_with_a_refused_option_is_kept(project):
     assert (status, "1 passed" in said) == (exit_status.DONE, True), said
 
 
+@pytest.mark.few(0)
 def test_options_of_the_environment_that_pytest_refuses_are_ignored(project, monkeypatch):
     monkeypatch.setenv("PYTEST_ADDOPTS", "--no-such-option")
     status, said = run(project, "-m", "lfield", "test", "-k", "it_ends", pytest_variables=True)
     assert (status, "1 passed" in said) == (exit_status.DONE, True), said
 
 
+@pytest.mark.few(0)
 def test_a_conftest_that_fails_is_reported_as_such(project):
     (project / "conftest.py").write_text("import no_such_module\n")
     (project / "pytest.ini").write_text(FOREIGN["option"][1])

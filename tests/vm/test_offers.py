@@ -251,6 +251,7 @@ def test_a_query_is_made_once_despite_a_collection() -> None:
     assert desk.queries == [("Lift", "any"), ("Lift", None)]
 
 
+@pytest.mark.few(0)
 def test_more_offers_than_the_heap_holds_raise_an_exception() -> None:
     desk = run("print(who.length());", [WHOLE] * 5000, heap=1 << 17)
     (ended,) = (agent for agent in desk.endings if agent.ended == "died")

@@ -124,6 +124,7 @@ def test_space_for_a_deep_copy_is_made_at_once(work: Work) -> None:
     assert work.collections < 40
 
 
+@pytest.mark.few(0)
 def test_a_call_whose_parts_do_not_all_fit_is_over_the_limit(work: Work) -> None:
     """A call of a `together`: its frame, a copy of its arguments, its ticket; each part alone would fit."""
     body = """

@@ -73,6 +73,7 @@ def test_hosts_run_from_a_bundle_without_sources(lfield, bundled) -> None:
     assert hosts[1].out == ["here"]
 
 
+@pytest.mark.few(0)
 def test_all_hosts_of_a_bundle_run_at_once(lfield, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     bundled()

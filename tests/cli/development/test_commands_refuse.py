@@ -235,6 +235,7 @@ def test_check_prints_nothing_for_valid_files(lfield, good):
     assert (lfield.status(done), done.out, done.err) == (0, [], [])
 
 
+@pytest.mark.few(0)
 def test_a_built_program_runs(lfield, good):
     built = lfield("build", "mission.L", "-o", "elsewhere.lb", status=0)
     assert "elsewhere.lb: " in built.err[0]
@@ -274,6 +275,7 @@ def test_a_full_disk_under_the_output_of_a_command_is_reported(lfield, good, com
 # up
 
 
+@pytest.mark.few(0)
 def test_a_computer_in_the_deployment_needs_no_host_option(lfield):
     deployment = lfield.mission(GOOD, DEPLOYMENT.replace("alpha", socket.gethostname()))
     maps = lfield.maps([socket.gethostname()])

@@ -135,6 +135,7 @@ def test_the_stock_resource_of_a_new_driver_compiles(site, monkeypatch):
     )
 
 
+@pytest.mark.few(0)
 def test_a_sensor_passes_its_tests_and_the_kit_without_consent(sensor_site, monkeypatch):
     monkeypatch.syspath_prepend(str(sensor_site))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(sensor_site), os.environ.get("PYTHONPATH", "")]))

@@ -38,6 +38,7 @@ def test_an_invalid_command_line_is_refused_with_a_sentence(here, words, status,
     assert kit.out == []
 
 
+@pytest.mark.few(0)
 def test_a_missing_endpoint_is_one_sentence(here):
     axis = ("--set", "protocol=cia402", "--set", "node=5", "--set", "counts=100")
     for words in (

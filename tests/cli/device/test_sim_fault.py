@@ -60,6 +60,7 @@ def test_faults_are_shown_and_set_for_a_fake_and_a_device(fakes):
     assert any(line.startswith("  silence = false @1=false @2=true  (") for line in other.out)
 
 
+@pytest.mark.few(0)
 def test_an_invalid_fault_is_refused_and_changes_nothing(fakes):
     fakes.start("1:copter:ardupilot:alpha.fc")
     for words, sentence in (
@@ -77,6 +78,7 @@ def test_an_invalid_fault_is_refused_and_changes_nothing(fakes):
     assert any(line.startswith("  delay = 0.0  (") for line in fakes.fault().out)
 
 
+@pytest.mark.few(0)
 def test_an_ambiguous_name_is_refused(fakes):
     first, second = fakes.start("1"), fakes.start("1")
     refused = fakes.fault("mavlink", "loss=0.1")

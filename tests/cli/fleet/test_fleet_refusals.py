@@ -172,6 +172,7 @@ def send(lfield, team) -> Callable[[str, ServiceMessage], BallotState]:
     return lambda host, message: asyncio.run(ask(host, message))
 
 
+@pytest.mark.few(0)
 def test_the_second_of_two_concurrent_pushes_is_refused_until_the_first_is_decided(
     here, team, staged, send
 ) -> None:
@@ -190,6 +191,7 @@ def test_the_second_of_two_concurrent_pushes_is_refused_until_the_first_is_decid
     assert send("alpha", VoteReport(ballot.id, {})).outcome == "activated"
 
 
+@pytest.mark.few(0)
 def test_an_activation_is_aborted_by_command_if_a_robot_is_lost(here, team, staged, send) -> None:
     ballot = staged()
     team.kill("bravo")

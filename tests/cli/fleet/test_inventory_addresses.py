@@ -54,6 +54,7 @@ def team(lfield, here, alone, monkeypatch):
     lfield.end()
 
 
+@pytest.mark.few(0)
 def test_hosts_and_commands_use_the_inventory(team) -> None:
     team.inventory(alpha="'127.0.0.2:{alpha}'", bravo="'127.0.0.4:{bravo}', '[::1]:{bravo}'")
     (bravo,) = team.up("bravo")

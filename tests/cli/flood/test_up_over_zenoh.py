@@ -66,6 +66,7 @@ def test_two_sites_fly_example_01(lfield, routers) -> None:
     assert not any("unreachable" in line for host in hosts for line in host.err)
 
 
+@pytest.mark.few(0)
 def test_hosts_wait_for_a_router_that_starts_later(lfield) -> None:
     endpoint = free_endpoint()
     inventory = lfield.write("inventory.yaml", INVENTORY.format(near=endpoint, far=endpoint))

@@ -79,6 +79,7 @@ def test_every_device_is_safe_and_not_released_before_the_stop_is_lifted(lfield,
         host.wait_for(r"^(?!.*not).*released$")
 
 
+@pytest.mark.few(0)
 def test_unconfirmed_devices_and_unreached_hosts_are_named(lfield, team, alone, here):
     here("sim", "fault", "wing.fc", "silence=true", env=alone, status=0)
     pressed = here("estop", *team.words, "--no-wait", status=3)

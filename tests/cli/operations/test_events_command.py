@@ -203,6 +203,7 @@ def topics(reader) -> set[str]:
 EXPECTED = {"/devices/p/fc", "/devices/p/fc/fix", "/events", "/hops", "/tf"}
 
 
+@pytest.mark.few(0)
 def test_a_terminated_recorder_completes_its_file(recorders):
     recorder, file = recorders["ended"]
     recorder.signal(signal.SIGTERM)

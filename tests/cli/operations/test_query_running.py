@@ -64,6 +64,7 @@ def test_a_silent_host_is_named(mission, lfield, here):
     assert [line.partition(":")[0] for line in shown.err] == ["bravo"]
 
 
+@pytest.mark.few(0)
 def test_without_a_running_team_the_files_answer(mission, lfield, here):
     maps = lfield.maps(["alpha", "bravo"])
     shown = here("query", "Lift", "--deploy", mission.deployment, *maps, status=0)

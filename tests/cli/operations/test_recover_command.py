@@ -43,6 +43,7 @@ def answered(answer: str, *words: object, **options) -> int:
     return done.returncode
 
 
+@pytest.mark.few(0)
 def test_the_home_continues_and_the_restarted_host_does_not(lfield, own, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     maps = lfield.maps(["alpha", "bravo"])

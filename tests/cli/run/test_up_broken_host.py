@@ -54,6 +54,7 @@ core.HostCore.run, world.HostServices.log = run, log
 """
 
 
+@pytest.mark.few(0)
 def test_a_host_with_an_internal_error_ends_with_70_and_its_copter_lands(lfield):
     deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n", "silence: 2\n")
     lfield.write("broken/sitecustomize.py", BROKEN)

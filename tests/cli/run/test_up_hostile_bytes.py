@@ -127,6 +127,7 @@ def test_bad_bytes_of_a_host_close_one_link_and_are_logged(alpha, name):
     assert alpha.popen.poll() is None
 
 
+@pytest.mark.few(0)
 def test_a_truncated_frame_is_logged(alpha):
     with connect_as(alpha, "bravo") as sock:
         whole = encode(Hello("observer", "observer", 0))
@@ -136,6 +137,7 @@ def test_a_truncated_frame_is_logged(alpha):
     await_close_line(alpha, "peer closed the link in the middle of a message")
 
 
+@pytest.mark.few(0)
 def test_a_handshake_copied_from_another_host_is_refused(alpha):
     """The hashes of a Hello are known to all hosts; only the certificate proves the name."""
     with connect_as(alpha, "bravo") as sock:

@@ -42,7 +42,7 @@ coordinator Traveller {
 TWO_HOSTS = "//Post:near@alpha\n//Post:far@bravo\n//Traveller:tom@alpha?near&far&{stay}\n"
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("order", [["alpha", "bravo"], ["bravo", "alpha"]])
 def test_hosts_are_started_by_hand_in_any_order(lfield, order):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
@@ -214,6 +214,7 @@ def test_ctrl_c_ends_one_host(lfield):
     assert hosts["alpha"].wait() == 130
 
 
+@pytest.mark.few(0)
 def test_a_host_without_until_done_is_stopped_with_status_0(lfield):
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     (host,) = lfield.hosts(deployment, ["alpha"]).values()

@@ -44,7 +44,7 @@ def on_a_terminal(lfield, *words: object) -> tuple[bytes, int]:
     return out, process.wait(60)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("options", [("--all",), ("--host", "alpha")])
 def test_a_program_cannot_control_the_terminal(lfield, options):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)

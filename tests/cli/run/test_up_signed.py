@@ -38,6 +38,7 @@ def refused(lfield, *words: str) -> str:
     return line
 
 
+@pytest.mark.few(0)
 def test_a_signed_bundle_runs_and_ps_shows_its_signer(lfield, here, made) -> None:
     maps = made("?stays")
     signed = here("sign", "mission.lfm")

@@ -61,7 +61,7 @@ def test_a_dump_on_a_full_disk_is_reported_and_the_flight_continues(lfield, flig
     flown.is_down()
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("options", [(), ("--volatile",)])
 def test_a_team_that_cannot_store_its_manifest_does_not_fly(lfield, alone, options):
     """No command could find such a team to stop it."""

@@ -70,6 +70,7 @@ def test_a_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here,
     assert "lead.fc at rest" in flown.host.said
 
 
+@pytest.mark.few(0)
 def test_a_second_signal_at_once_is_ignored_and_a_later_one_ends_the_wait(flight):
     flown = flight(land=("--land", "0.1", "--descend", "0.1"))
     signal_at_once(flown.host, signal.SIGINT, signal.SIGTERM)

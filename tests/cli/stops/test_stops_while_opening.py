@@ -21,6 +21,7 @@ def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
     return ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha")
 
 
+@pytest.mark.few(0)
 def test_a_device_that_was_only_queried_is_not_reported_unsafe(lfield, alone):
     (port,) = lfield.ports.take(1)
     host = lfield.start(*bound_nowhere(lfield, port), env=alone)

@@ -61,7 +61,7 @@ def test_lines_are_addressed_to_hosts(lfield):
     assert not any("shortened" in line for line in run.err)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("options", [("--host", "alpha"), ("--all",)])
 def test_without_input_the_time_limit_ends_the_read(lfield, options):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=0.5))
@@ -69,6 +69,7 @@ def test_without_input_the_time_limit_ends_the_read(lfield, options):
     assert said(run) == ["d1 said nothing"]
 
 
+@pytest.mark.few(0)
 def test_a_host_with_closed_input_reads_nothing(lfield):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=0.5))
     command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "lfield"]

@@ -144,6 +144,7 @@ def test_without_nicegui_the_sentence_names_the_package(here, lfield, monkeypatc
     assert "pip install 'lfield[watch]'" in result.err[-1]
 
 
+@pytest.mark.few(0)
 def test_a_page_waits_for_a_team_that_does_not_run(lfield, alone):
     page = lfield.start("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), env=alone)
     page.wait_for("open this link: ")

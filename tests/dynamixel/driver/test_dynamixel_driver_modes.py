@@ -27,6 +27,7 @@ def direction(drive_mode: int) -> int:
     return -1 if drive_mode & REVERSE else 1
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("drive_mode", DRIVE_MODES)
 def test_motion_duration_and_direction_in_every_drive_mode(drive_mode):
     bench = in_mode(drive_mode, limits={"speed": 0.5})

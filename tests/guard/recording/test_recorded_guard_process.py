@@ -38,6 +38,7 @@ async def until(condition):
         await asyncio.sleep(0.02)
 
 
+@pytest.mark.few(0)
 def test_killed_guard_leaves_a_recording_that_the_next_one_continues(tmp_path):
     folder = create_folder(tmp_path / "rec", "north", 7, 0.0)
 

@@ -94,7 +94,7 @@ def test_a_resume_of_a_person_does_not_end_the_hold_of_a_vote(flight: Team) -> N
     flight.team.run(until=lambda: flight.is_airborne)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("pauses_first", [True, False], ids=["pause before", "pause after"])
 def test_the_end_of_a_hold_does_not_end_the_pause_of_a_person(flight: Team, pauses_first: bool) -> None:
     if pauses_first:
@@ -113,6 +113,7 @@ def test_the_end_of_a_hold_does_not_end_the_pause_of_a_person(flight: Team, paus
     flight.team.run(until=lambda: flight.is_airborne)
 
 
+@pytest.mark.few(0)
 def test_a_resume_during_a_hold_ends_the_pause_and_names_the_hold(flight: Team) -> None:
     flight.pause()
     flight.hold(FIRST)

@@ -42,6 +42,7 @@ def test_99_of_100_stops_are_confirmed_within_the_bound(cell, hosts, at_rest, wi
     assert size <= most
 
 
+@pytest.mark.few(0)
 def test_a_full_slow_radio_is_not_flooded_by_stops():
     took, size = stops("57.6 kbit/s + 100 ms + 5 %", 5, 20, at_rest=1000.0)
     assert took[-1] <= 4.0

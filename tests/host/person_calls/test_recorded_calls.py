@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from calling_person import CallingPerson
 from recorded_teams import MemoryWithBundles, compare, recorded
 
@@ -28,6 +29,7 @@ coordinator Holder {
 """
 
 
+@pytest.mark.few(0)
 def test_calls_of_persons_are_replayed_from_a_recording(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 0.5)
     (tmp_path / "mission.L").write_text(PROGRAM)

@@ -45,7 +45,7 @@ def without(*kinds):
     return passes
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_first_velocity_meets_its_ttl_on_a_link_with_losses(flown, flavour, kind):
     """The mode is reported once and then late: the report may miss the TTL if that packet is lost."""

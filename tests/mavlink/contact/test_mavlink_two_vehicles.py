@@ -126,7 +126,7 @@ def test_second_vehicle_is_ignored_while_the_first_flies(bench, flavour):
     assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @BOTH
 @pytest.mark.parametrize("later", [False, True])
 def test_second_vehicle_does_not_replace_one_silent_in_flight(bench, flavour, later):
@@ -190,7 +190,7 @@ def test_arming_is_refused_for_two_vehicles_behind_a_router(bench, flavour, head
     assert [note.code for note in b.notes].count("mavlink-two-vehicles-mixed") == 1
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(("flavour", "head_start"), [("ardupilot", 0.0), ("ardupilot", 30.0), ("px4", 0.0)])
 def test_second_vehicle_behind_a_router_does_not_end_a_flight(bench, flavour, head_start):
     b = bench(flavour=flavour, board=BOARD)

@@ -121,6 +121,7 @@ def test_plan_for_another_vehicle_or_firmware_is_refused(made_for, asked, code):
     assert [each for each, _ in found(plan(UP, **made_for), **asked)] == code
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("firmware", "count", "codes"),
     [

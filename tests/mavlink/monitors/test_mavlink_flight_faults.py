@@ -133,7 +133,7 @@ async def test_foreign_setpoints_to_px4_in_offboard_are_a_takeover(b, fc, /):
     other.cancel()
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", faults=("loss=0.2", "delay=0.25"), limits={"speed": 3.0}, ttl=1.0, given="flavour")
 async def test_own_goals_on_a_bad_link_are_no_takeover(b, fc, /, flavour):

@@ -25,6 +25,7 @@ async def test_fix_lost_for_one_second_does_not_end_a_motion(b, fc, /, flavour):
     await fc.execute("goTo", [25.0, 0.0, -8.0])
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0}, faults=("loss=0.2", "delay=0.5"), ttl=1.0, given="flavour")
 async def test_fix_loss_over_a_slow_radio_ends_a_motion_within_two_seconds(b, fc, /, flavour):

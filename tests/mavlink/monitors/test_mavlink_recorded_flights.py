@@ -49,7 +49,7 @@ def test_normal_recorded_flight_has_no_findings(name, goals):
     assert watched.reports.lock_outs == []
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("name", SCRIPTED)
 def test_scripted_recorded_flight_has_no_findings(name):
     watched = watch(name)

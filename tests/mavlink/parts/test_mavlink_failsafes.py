@@ -57,6 +57,7 @@ async def test_px4_fence_breach_takes_control_until_release(b, fc, /, action):
     await fc.execute("goTo", [5.0, 0.0, -6.0])
 
 
+@pytest.mark.few(0)
 @on_bench("bench", flavour="px4", ttl=3.5, limits={"speed": 3.0})
 async def test_px4_fence_ends_an_orbit_and_keeps_control(b, fc, /):
     """The fence is set during the orbit: earlier commands would be refused earlier."""
@@ -85,7 +86,7 @@ async def test_status_text_after_the_mode_change_is_awaited(b, fc, /):
         await fc.execute("orbit", [0.0, 0.0, -6.0, 12.0, 2.0, 3.0])
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("kept", ["texts", "heartbeats"])
 @on_bench("bench", flavour="px4", safe_state="hold")
 async def test_failsafe_in_the_same_hold_mode_is_detected(b, fc, /, kept):

@@ -313,6 +313,7 @@ async def test_global_goals_are_checked_against_the_limits(b, fc, /):
             await fc.execute("goToGlobal", goal)
 
 
+@pytest.mark.few(0)
 @on_bench("bench")
 async def test_return_home_lands_at_home(b, fc, /):
     await up(fc)

@@ -177,6 +177,7 @@ async def test_changed_speed_is_reported_and_commanded_again(b, fc, /):
     assert b.breaches == []
 
 
+@pytest.mark.few(0)
 def test_repeated_overspeed_stays_corrected_for_the_motion(limited, monkeypatch):
     b, set_speed = limited(limits={"speed": 3.0}), Autopilot.set_speed
     monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: set_speed(self, 1.5 * speed))

@@ -115,7 +115,7 @@ async def test_changed_mission_inside_the_limits_is_flown(b, fc, /, flavour, kin
             await asyncio.sleep(0.1)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 @on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0}, given="flavour kind")
 async def test_vehicle_holds_before_a_return_to_a_rally_point_beyond_limits(b, fc, /, flavour, kind):
@@ -127,6 +127,7 @@ async def test_vehicle_holds_before_a_return_to_a_rally_point_beyond_limits(b, f
     assert b.autopilot.mode not in (fc.profile.mission, fc.profile.home)
 
 
+@pytest.mark.few(0)
 @on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0})
 async def test_foreign_jump_to_a_curve_beyond_the_limits_is_held(b, fc, /):
     """The curve is inside the limits from the mission's start, and outside from the foreign start."""

@@ -112,7 +112,7 @@ SLOW = {
 }
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("name", SLOW)
 def test_slow_rover_gets_time_for_its_detour(bench, name):
     """The detour of a slow rover is as long in metres as that of a fast rover, and takes longer."""

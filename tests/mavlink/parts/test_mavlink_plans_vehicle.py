@@ -113,6 +113,7 @@ async def test_foreign_mission_is_checked_against_the_limits(b, fc, /, flavour):
     assert len(b.sent) == before
 
 
+@pytest.mark.few(0)
 @BOTH
 @on_bench("bench", faults=("loss=0.2", "delay=0.05"), given="flavour")
 async def test_mission_and_fence_upload_over_a_bad_radio(b, fc, /, flavour):
@@ -342,6 +343,7 @@ async def test_mission_changed_during_its_start_is_held(b, fc, /, flavour):
     assert b.values["mode"] != fc.profile.mission
 
 
+@pytest.mark.few(0)
 @on_bench("bench")
 async def test_partly_flown_mission_is_not_resumed_on_the_ground(b, fc, /):
     await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 22), plan_item(b, 16, 9.0), plan_item(b, 21)])

@@ -44,7 +44,7 @@ async def test_landing_copter_is_at_rest_with_motors_off(b, fc, /, flavour):
     assert not b.autopilot.armed
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", safe_state="return", given="flavour")
 async def test_returning_copter_is_described_until_rest(b, fc, /, flavour):

@@ -51,7 +51,7 @@ async def stored(fc, kind):
     return [item.command for item in await fc.plans.download(kind)]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @BOTH
 @on_bench("bench", given="flavour")
 async def test_plan_that_ends_in_the_air_is_flown_twice(b, fc, /, flavour):
@@ -74,7 +74,7 @@ async def test_plan_that_ends_in_the_air_is_flown_twice(b, fc, /, flavour):
     assert b.values["missionReached"] == 2
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("last", [LAND, RETURN])
 @on_bench("bench", given="flavour")

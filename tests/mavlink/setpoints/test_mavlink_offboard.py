@@ -116,6 +116,7 @@ async def test_fence_breach_in_offboard_takes_control(b, fc, /):
     assert fc.taken_over()
 
 
+@pytest.mark.few(0)
 @on_bench("px4", limits={"speed": 3.0})
 async def test_target_waits_for_an_obstructed_vehicle(b, fc, /):
     flight = await away(fc)
@@ -133,6 +134,7 @@ async def test_target_waits_for_an_obstructed_vehicle(b, fc, /):
     flight.cancel()
 
 
+@pytest.mark.few(0)
 @on_bench("px4")
 async def test_hover_between_motions_uses_setpoints(b, fc, /):
     await up(fc, 8.0)
@@ -145,7 +147,7 @@ async def test_hover_between_motions_uses_setpoints(b, fc, /):
     assert not b.autopilot.armed
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("loss", [0.2, 0.4])
 @on_bench("px4", faults=())
 async def test_lost_setpoints_do_not_end_offboard(b, fc, /, loss):

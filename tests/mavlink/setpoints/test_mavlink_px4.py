@@ -165,6 +165,7 @@ async def test_each_px4_safe_state_in_the_air(b, fc, /, state, mode):
     assert b.autopilot.vehicle.airborne == (state == "hold")
 
 
+@pytest.mark.few(0)
 @on_bench("px4")
 async def test_px4_orbit_and_return(b, fc, /):
     await up(fc)
@@ -340,6 +341,7 @@ async def test_px4_rover_stops_for_land_or_safe_state(b, fc, /, state):
     assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
 
 
+@pytest.mark.few(0)
 @on_bench("px4")
 async def test_goal_that_was_given_up_is_not_pursued(b, fc, /):
     await up(fc)

@@ -44,7 +44,7 @@ def test_speed_limit_is_kept_in_still_air(bench, flavour, kind, limit):
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("source", [0.0, 1.57, 3.14])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_speed_limit_is_kept_in_wind(bench, flavour, kind, source):

@@ -131,6 +131,7 @@ def test_a_missing_router_is_reported_and_used_when_it_starts(team):
 # A stopped process
 
 
+@pytest.mark.few(0)
 def test_a_stopped_peer_blocks_no_other_link_and_its_link_is_closed(router):
     bench = bench_at(router.endpoint)
     command = [sys.executable, str(Path(__file__).with_name("stopped_peer.py")), router.endpoint]

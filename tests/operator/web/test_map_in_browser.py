@@ -37,6 +37,7 @@ def overlap(one, other):
     return one[1] < other[2] and other[1] < one[2] and one[3] < other[4] and other[3] < one[4]
 
 
+@pytest.mark.few(0)
 def test_map_geometry_and_label_placement(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -106,6 +107,7 @@ def test_five_robots_close_together_have_five_separate_labels(browser, page_of):
     assert browser.errors == []
 
 
+@pytest.mark.few(0)
 def test_tracks_limits_and_files_are_drawn_with_a_legend(browser, page_of):
     page = page_of("--earth", "--draw", FILES / "north-field.plan", FILES / "north.kml")
     browser.open(page.link)

@@ -35,6 +35,7 @@ def test_two_copters_move_on_the_page(browser, shared_page):
     assert browser.errors == []
 
 
+@pytest.mark.few(0)
 def test_an_input_line_is_entered_for_an_agent_that_waits(browser, page):
     def field(agent: str):
         return browser.driver.find_element(By.CSS_SELECTOR, f"[data-testid=type-{agent}]")
@@ -132,6 +133,7 @@ def test_an_agent_has_one_colour_in_all_plots(browser, page_of):
     assert drawn("hops") == [False, False, True]
 
 
+@pytest.mark.few(0)
 def test_a_denied_button_shows_the_reason(browser, page_of):
     page = page_of()
     page.do("bar lift your keys let you stop, not operate: ask for --may operate")

@@ -78,6 +78,7 @@ def client(page, root: BrowserCa) -> Client:
     return Client(page.link, root.certificate)
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_the_link_opens_the_page_for_a_browser_with_the_root(page, client: Client) -> None:
     assert page.link.startswith(f"https://{ADDRESS}:")
@@ -123,6 +124,7 @@ def test_a_denied_order_is_refused_without_the_page_too(page, client: Client) ->
     assert page.line() == "pressed pause"
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_a_websocket_opens_beside_many_cookies_of_other_programs(page, client: Client) -> None:
     own = client.asks(client.path)[2].partition(";")[0]
@@ -137,6 +139,7 @@ def test_a_websocket_opens_beside_many_cookies_of_other_programs(page, client: C
     assert client.asks("/_nicegui_ws/socket.io/?EIO=4&transport=websocket", **handshake)[0] == 101
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_requests_without_tls_or_with_another_root_get_no_answer(page, client: Client) -> None:
     with socket.create_connection((client.host, client.port), 60.0) as plain:

@@ -41,6 +41,7 @@ def test_a_stop_is_incomplete_while_a_host_has_not_answered(browser, page_of):
     assert "bravo not answered yet" in browser.text("state")
 
 
+@pytest.mark.few(0)
 def test_lift_and_resume_ask_for_confirmation(browser, page):
     assert not browser.thing("lift").is_enabled()
     browser.thing("stop").click()
@@ -80,6 +81,7 @@ def test_a_dead_host_is_shown_with_its_last_state(browser, page):
     browser.says("unreached-bravo", "NOT REACHED: no program listens there")
 
 
+@pytest.mark.few(0)
 def test_a_stop_that_reaches_no_host_is_shown_while_it_holds(browser, page_of):
     page = page_of()
     page.do("kill alpha")

@@ -51,6 +51,7 @@ def page(page_of):
     return page_of()
 
 
+@pytest.mark.few(0)
 def test_a_press_is_dated_by_the_clock_of_the_snapshots(page) -> None:
     client = Client(page)
     at = client.look["at"]

@@ -116,6 +116,7 @@ def test_searches_find_portals_hops_devices_and_events(debugger):
     assert not debugger.search(debugger.event_target(["latched"]))
 
 
+@pytest.mark.few(0)
 def test_every_hop_is_found_in_both_directions(debugger):
     forward = []
     while debugger.search(debugger.hop_target()):
@@ -157,6 +158,7 @@ def places(debugger, target, *, backward):
     return found
 
 
+@pytest.mark.few(0)
 def test_an_assigned_object_is_a_change_at_any_address(debugger):
     debugger.enter()
     found = places(debugger, lambda: debugger.change_target("first"), backward=False)
@@ -170,6 +172,7 @@ def test_an_assigned_object_is_a_change_at_any_address(debugger):
     assert places(debugger, lambda: debugger.change_target("first"), backward=True) == found[::-1]
 
 
+@pytest.mark.few(0)
 def test_a_hop_is_neither_a_change_of_a_value_nor_of_a_condition(debugger):
     debugger.enter()
     found = places(debugger, lambda: debugger.change_target("leg"), backward=False)
@@ -228,7 +231,7 @@ def test_a_search_for_an_unknown_name_is_refused(debugger, target):
         target(debugger)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("kind", ["event", "hop", "portal", "device"])
 def test_backward_and_forward_searches_find_the_same_places(debugger, kind):
     targets = {

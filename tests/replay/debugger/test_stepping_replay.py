@@ -37,6 +37,7 @@ def test_a_replay_in_steps_equals_the_recording(example):
         assert host.divergence is None
 
 
+@pytest.mark.few(0)
 def test_a_replay_in_steps_equals_the_recording_with_devices(first_flight):
     for host in first_flight.hosts:
         counter = Counter()
@@ -45,6 +46,7 @@ def test_a_replay_in_steps_equals_the_recording_with_devices(first_flight):
         assert host.divergence is None
 
 
+@pytest.mark.few(0)
 def test_forward_and_backward_pass_the_same_statements(first_flight):
     target = StatementTarget("pilot")
     backward = [first_flight.find(target, first_flight.end, backward=True)]

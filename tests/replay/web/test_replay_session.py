@@ -101,6 +101,7 @@ def test_hops_statements_and_variables_are_shown_in_both_directions(shown):
     assert shown.go("hop", backward=True)["trouble"] != ""
 
 
+@pytest.mark.few(0)
 def test_events_are_reached_in_order_in_both_directions(shown):
     times = []
     while not (position := shown.go("event"))["trouble"]:

@@ -195,6 +195,7 @@ def test_all_hosts_learn_that_a_host_was_restarted():
     assert all(one.restarted == {"h9"} for name, one in team.membership_of.items() if name != "h9")
 
 
+@pytest.mark.few(0)
 def test_messages_stay_small_when_all_of_a_large_team_is_missed():
     team = GossipTeam(100)
     team.run(SUSPICION_TIMEOUT + 1.0)

@@ -87,6 +87,7 @@ def test_no_copy_runs_twice_and_each_is_on_some_disk():
     explored(DurableMobilityMachine, Mobility, examples=60)
 
 
+@pytest.mark.few(0)
 def test_a_truly_declared_recovery_makes_no_second_copy():
     explored(Declared, Mobility, examples=60)
 

@@ -141,6 +141,7 @@ def states(c, seconds):
     return [state for state, before in zip(reported, [None, *reported], strict=False) if state != before]
 
 
+@pytest.mark.few(0)
 def test_landed_states_of_a_flight():
     c = Client()
     c.command(MODE, 1, GUIDED)

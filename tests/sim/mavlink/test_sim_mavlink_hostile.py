@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_client import ACCEPTED, ARM, GUIDED, MODE, ONCE, TAKEOFF, Client
@@ -128,6 +129,7 @@ def test_commands_with_any_values_do_not_break_the_fake(
     build_every_message(c)
 
 
+@pytest.mark.few(0)
 @settings(max_examples=35, deadline=None)
 @given(st.lists(numbers, min_size=6, max_size=6), st.integers(0, 0xFFFF), st.integers(0, 12), flavours)
 def test_setpoints_with_any_values_do_not_break_the_fake(values, mask, frame, flavour):
@@ -141,6 +143,7 @@ def test_setpoints_with_any_values_do_not_break_the_fake(values, mask, frame, fl
     build_every_message(c)
 
 
+@pytest.mark.few(0)
 @settings(max_examples=35, deadline=None)
 @given(st.data(), numbers, st.binary(max_size=16), flavours, kinds)
 def test_parameters_with_any_values_do_not_break_the_fake(data, number, other, flavour, kind):

@@ -39,6 +39,7 @@ def landed_state(c):
     return c.ask(245).landed_state
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("flavour", "sinking", "landed", "disarmed"),
     # ArduCopter: 0.50 m/s, 1.6 s, 0.5 s. PX4: 0.5 to 0.7 m/s, 2.5 to 3 s, COM_DISARM_LAND.

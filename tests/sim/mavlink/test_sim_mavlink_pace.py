@@ -127,6 +127,7 @@ def reposition(c, north, speed=-1.0):
     assert c.command_int(192, speed, 1, 0, NAN, x=lat, y=lon, z=c.fake.place.altitude + 10) == ACCEPTED
 
 
+@pytest.mark.few(0)
 def test_px4_uses_the_speed_of_a_goal_for_this_goal_only(px4):
     reposition(px4, 80, 3)
     assert top(px4, 9.1) == pytest.approx(2.66, abs=0.1), "it reaches a speed within 20 s"
@@ -134,6 +135,7 @@ def test_px4_uses_the_speed_of_a_goal_for_this_goal_only(px4):
     assert top(px4, 9.1) == pytest.approx(4.25, abs=0.15)
 
 
+@pytest.mark.few(0)
 def test_px4_keeps_a_set_speed_until_it_is_reset(px4):
     reposition(px4, 80)
     assert set_speed(px4, 2) == ACCEPTED

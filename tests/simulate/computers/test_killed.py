@@ -7,6 +7,8 @@ import gc
 import random
 from collections.abc import AsyncIterator
 
+import pytest
+
 from lfield.simulate.computers.event_queue import EventQueue
 from lfield.simulate.computers.process_loop import closing_generators, release
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
@@ -34,6 +36,7 @@ def _begun(timeline: EventQueue, said: list[str]) -> SimulatedProcess:
     return process
 
 
+@pytest.mark.few(0)
 def test_a_killed_process_is_never_unwound() -> None:
     timeline, said = EventQueue(), list[str]()
     process = _begun(timeline, said)

@@ -159,6 +159,7 @@ def test_a_host_lost_before_the_start_is_waited_for_again(tmp_path: Path) -> Non
     assert started(fleet)
 
 
+@pytest.mark.few(0)
 def test_missing_hosts_are_logged_at_once_and_then_less_often(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(3.0)

@@ -56,6 +56,7 @@ def test_crew_scenarios_keep_every_promise() -> None:
     assert recovered > 0
 
 
+@pytest.mark.few(0)
 def test_racer_scenarios_keep_every_promise() -> None:
     recovered = 0
     ways = Counter[str]()

@@ -35,6 +35,7 @@ def test_rare_scenarios_keep_every_promise(kind: str) -> None:
     assert kind != "wrecked" or seen["recover"] + seen["forget"] > 0
 
 
+@pytest.mark.few(0)
 def test_hosts_keep_confirmed_orders() -> None:
     seen = Counter[str]()
     for seed in range(6):

@@ -190,6 +190,7 @@ def test_a_restarted_host_sends_all_its_events_to_a_watcher_of_the_earlier_life(
     assert watcher.states[0].number == 1
 
 
+@pytest.mark.few(0)
 def test_a_watcher_that_stops_reading_gets_a_window_and_then_the_end(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, 8.0)
     watcher = watch(fleet, "alpha", Subscribe(telemetry=10.0), reads=False)
@@ -276,6 +277,7 @@ coordinator Walker {
 """
 
 
+@pytest.mark.few(0)
 def test_too_frequent_events_are_counted(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, 0.001, BUSY, "//Post:p@alpha\n//Walker:walker@alpha\n")
     watcher = watch(fleet, "alpha", Subscribe(1))

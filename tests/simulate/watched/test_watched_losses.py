@@ -77,6 +77,7 @@ def holder(fleet: Fleet, *others: str) -> str:
     raise AssertionError("the coordinator runs on no host")
 
 
+@pytest.mark.few(0)
 def test_the_host_that_recovers_a_coordinator_reports_it(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 1)
     fleet.run(20.0)
@@ -119,6 +120,7 @@ def test_a_coordinator_that_cannot_leave_stays_with_an_exception(tmp_path: Path)
     assert printed.cause == stayed[0].number
 
 
+@pytest.mark.few(0)
 def test_an_abandoned_device_is_made_safe_with_its_cause(tmp_path: Path) -> None:
     made = mission(tmp_path)
     bound = {

@@ -272,7 +272,7 @@ def images() -> tuple[tuple[int, bytes], ...]:
     return tuple(found)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_hostile_reservations_are_refused_or_harmless(data: st.DataObject) -> None:

@@ -39,6 +39,7 @@ print(len(desk.output), len(set(desk.output)), outside, machine.engine.space.res
 """
 
 
+@pytest.mark.few(1)
 @pytest.mark.process
 @pytest.mark.parametrize("most", [400, 1500])
 def test_a_thousand_agents_need_few_addresses(most: int) -> None:

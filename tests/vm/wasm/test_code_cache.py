@@ -234,6 +234,7 @@ def _elsewhere(cache: Path, machine: str, addresses: int = 0) -> subprocess.Comp
     )
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_with_few_addresses_the_second_start_finds_the_code_too(tmp_path: Path) -> None:
     pytest.importorskip("wasmtime", reason=NEEDED)

@@ -151,6 +151,7 @@ def test_a_method_too_long_for_webassembly_is_left_out(monkeypatch: pytest.Monke
     machine_code._recent.clear()
 
 
+@pytest.mark.few(0)
 def test_many_slots_are_no_locals() -> None:
     text = _program("".join(f"int a{i} = k;" for i in range(3000)) + "k = a2999;")
     assert "(local $s2000 " not in lowering.lower_program(_prepared(text)).text

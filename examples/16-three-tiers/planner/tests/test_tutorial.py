@@ -46,6 +46,7 @@ def shell_line(line):
     return line.replace("python -m", f"{python} -m").replace("lfield ", f"{python} -m lfield ", 1)
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_every_command_of_the_readme_runs(tmp_path):
     lines = [line for block in code_blocks("sh") for line in block.splitlines()]

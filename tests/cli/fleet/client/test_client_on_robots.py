@@ -41,6 +41,7 @@ def active(here, robots, lfield):
     return team
 
 
+@pytest.mark.few(0)
 def test_the_program_of_the_page_starts_calls_and_stops(active, lfield, alone) -> None:
     file = lfield.write("visit.py", program_of_page("visit.py"))
     ended = subprocess.run(

@@ -13,6 +13,7 @@ from lfield import exit_status
 pytestmark = pytest.mark.process
 
 
+@pytest.mark.few(0)
 def test_a_host_killed_during_a_stop_is_reported_and_nothing_is_discarded(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
