@@ -19,6 +19,7 @@ def lines(svg):
     return [[round(float(number) / 10.0) for number in path] for path in paths]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("deployment", ["mission.dL", "dynamixel.dL"])
 def test_arm_puts_all_cubes_into_the_box_with_either_kind_of_servo(lfield_mission, deployment):
     team = lfield_mission(deployment)

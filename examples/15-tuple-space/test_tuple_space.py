@@ -119,7 +119,7 @@ def test_waiting_clients_send_no_messages(clients):
 # --- failures -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("downtime", [1.0, 8.0, None], ids=["short", "long", "permanent"])
 @pytest.mark.parametrize(("client", "host"), [("hoe1", "north"), ("fork", "east")])
 def test_tuple_of_a_failed_host_is_processed_once(field, client, host, downtime):
@@ -143,6 +143,7 @@ def test_scout_failure_neither_loses_nor_repeats_a_row(field, time):
     assert_each_weed_pulled_once(field)
 
 
+@pytest.mark.few(0)
 def test_disconnected_robot_cannot_report_a_returned_tuple(field):
     """A disconnected robot pulls a weed; another robot gets the tuple, and the late report is ignored."""
     field.run(until='hoe1 takes ("weed"')

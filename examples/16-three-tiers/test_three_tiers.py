@@ -139,6 +139,7 @@ def test_no_vehicle_moves_without_a_plan(lfield_mission, fault, message):
     assert not team.has_moved
 
 
+@pytest.mark.few(0)
 def test_mission_waits_for_a_slow_planner(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"strategist.planner": ["slow=4"]})
     team.run(until="rover can go")

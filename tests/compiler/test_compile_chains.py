@@ -61,7 +61,7 @@ def test_a_long_expression_has_the_right_value(value: str, result: str) -> None:
     assert world.output == [result]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("condition", "result"),
     [

@@ -36,11 +36,15 @@ SHOWN_OUTPUT = 3000
 #: Subcommands that start no process; the tests call them in their own process.
 IN_PROCESS = frozenset({"build", "capabilities", "check", "inspect", "keys", "plan", "query", "sign"})
 _RUNS: dict[str, tuple[int | str, str]] = {}
-#: Pages whose lines run a mission in processes. Tests in the folders of these pages run the same missions in
-#: virtual time, and the README runs the mission of examples/10-client-server in processes.
-REAL_TIME = {
-    f"examples/{name}/README.md"
-    for name in ("07-so101-arm", "11-multiple-tiers", "12-peer-to-peer", "15-tuple-space", "17-learning")
+#: Pages whose lines run for several seconds. Tests in the folders of the examples run the same missions in
+#: virtual time, the README runs the mission of examples/10-client-server in processes, and getting-started.md
+#: runs `lfield test`.
+SLOW_PAGES = {
+    *(
+        f"examples/{name}/README.md"
+        for name in ("07-so101-arm", "11-multiple-tiers", "12-peer-to-peer", "15-tuple-space", "17-learning")
+    ),
+    "lfield/docs/testing.md",
 }
 #: Folders of the repository that commands of the documents name.
 NAMED = ("examples", "deploy", "capabilities")
@@ -161,14 +165,14 @@ def check_lines(page: str, folder: Path) -> None:
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES_WITH_LINES if page not in REAL_TIME])
+@pytest.mark.parametrize("page", [page for page in PAGES_WITH_LINES if page not in SLOW_PAGES])
 def test_every_line_runs(page: str, scratch: Path) -> None:
     check_lines(page, scratch)
 
 
 @pytest.mark.few(0)
-@pytest.mark.parametrize("page", sorted(REAL_TIME))
-def test_every_line_of_a_page_with_a_real_time_mission_runs(page: str, scratch: Path) -> None:
+@pytest.mark.parametrize("page", sorted(SLOW_PAGES))
+def test_every_line_of_a_slow_page_runs(page: str, scratch: Path) -> None:
     check_lines(page, scratch)
 
 

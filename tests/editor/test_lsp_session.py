@@ -146,6 +146,7 @@ def test_session_answers_40_requests(session: LspSession) -> None:
     assert DEVICES.startswith("agents:")
 
 
+@pytest.mark.few(0)
 def test_positions_are_in_the_encoding_of_the_editor(tmp_path: Path) -> None:
     text = 'class A {\n    public string f(int n) { return "\U0001f916" + i2s(n); }\n}\n'
     for encoding, shift in (("utf-32", 0), ("utf-16", 1)):

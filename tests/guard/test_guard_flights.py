@@ -112,6 +112,7 @@ async def test_guard_restart_lands_a_flight_of_the_program_in_any_mode(flight, /
     assert not any("not commanded: the vehicle is in" in note for note in flight.notes)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("restarts", [1, 2])
 @scenario("fly", rest_within=2.0)
 async def test_guard_restart_leaves_a_pilot_in_control(flight, /, desk, restarts):

@@ -183,6 +183,7 @@ def problems_on_opening(*devices) -> str:
     return "\n".join(error.value.problems)
 
 
+@pytest.mark.few(0)
 def test_every_device_that_fails_to_open_is_reported():
     absent = binding("udp:127.0.0.1:9", options={"connect": 0.3})
     other = msgspec.structs.replace(binding("upd:127.0.0.1:1"), agent="beta")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from kit_findings import failed, not_run
 
 #: The calibration of the example's arm.
@@ -33,6 +34,7 @@ def test_servo_and_group_pass_the_kit(desk, run_kit_on):
     assert found["group", "every member answers"].seen == "2 members"
 
 
+@pytest.mark.few(0)
 def test_calibrated_feetech_servos_pass_the_kit(desk, run_kit_on):
     chain = servos(desk, *(f"{id}:STS3215" for id in (1, 2, 3, 7)), f"--calibration={SO101}")
     binding = f'endpoint: "{chain.endpoint}", protocol: 0, ttl: 0.3, limits: {{speed: 4.0}}'

@@ -172,6 +172,7 @@ def test_mistakes_in_files_are_reported_by_the_build_process(
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.few(0)
 def test_the_oldest_bundles_are_removed(
     tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ def test_a_flood_from_one_address_displaces_only_its_own_connections():
     assert guests.admit("next peer", "elsewhere") not in (None, "peer")
 
 
+@pytest.mark.few(0)
 def test_retries_at_the_address_of_a_flood_get_time_to_authenticate():
     """Thirty connections follow before the Hello of a peer is read: two of three attempts succeed."""
     guests, through = ConnectionLimiter(64, random.Random(1)), 0

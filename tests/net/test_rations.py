@@ -104,6 +104,7 @@ def test_a_flood_is_limited_and_closed_after_five_seconds_over_budget(rate, cost
     assert computer.spent["bravo"] <= BURST + CPU_SHARE * (computer.closed["bravo"] - began) + 1.1
 
 
+@pytest.mark.few(0)
 def test_a_flood_on_the_next_link_has_five_seconds_again():
     computer = Computer()
     flood(computer, "bravo", 30_000, 8e-6, 60.0)

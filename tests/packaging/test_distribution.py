@@ -145,6 +145,7 @@ def test_installed_wheel_runs(installed, tmp_path):
     assert "alpha | tom: hello tom" in done.stderr
 
 
+@pytest.mark.few(0)
 def test_installed_wheel_finds_its_plugins(installed, tmp_path):
     script = (
         "from lfield.driver.plugins import discover; from lfield.driver.sims import discover_sims; "

@@ -75,6 +75,7 @@ def test_interrupted_provisioning_of_a_bare_robot_is_completed(trial, alpha):
     assert not list(alpha.path("/opt/lfield").glob(".stage.*"))
 
 
+@pytest.mark.few(0)
 def test_second_run_changes_nothing(trial, alpha):
     listing = "find /opt/lfield /etc/lfield /etc/systemd/system/lfield.service -printf '%p %T@\\n' | sort"
     before = alpha.run(listing)

@@ -257,6 +257,7 @@ def test_a_recording_is_exported_to_mcap_and_csv(recorded: Path, tmp_path: Path)
     assert lfield("export", recorded / "records", "--csv", tables, cwd=tmp_path).returncode == 73
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_a_failed_export_leaves_no_partial_file(recorded: Path, tmp_path: Path) -> None:
     code = (
@@ -274,6 +275,7 @@ def test_a_failed_export_leaves_no_partial_file(recorded: Path, tmp_path: Path) 
     assert not (tmp_path / "x.mcap").exists()
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_an_export_without_the_mcap_package_is_reported(recorded: Path, tmp_path: Path) -> None:
     code = "import sys; sys.modules['mcap'] = None; from lfield.__main__ import main; sys.exit(main())"

@@ -51,7 +51,7 @@ def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, en
     assert len(found.parts) >= 2 * len(team.hosts)
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", MISSIONS)
 def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
     """A host has the drivers of its own devices only, but knows the devices of all hosts."""

@@ -13,7 +13,7 @@ from simulation_testing.scenarios.scenario_drawing import draw_scenario
 from simulation_testing.scenarios.scenario_run import run_scenario
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(300, 500))
 def test_a_story_is_replayed(seed, monkeypatch):
     monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 20.0)

@@ -162,6 +162,7 @@ def test_all_hosts_report_unheard_when_the_host_with_the_coordinator_crashes(tmp
     assert len(fleet.left) == 15
 
 
+@pytest.mark.few(0)
 def test_all_hosts_report_a_loss_when_that_host_returns_without_the_coordinator(tmp_path):
     fleet = Fleet(
         team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 4, one_copy, options=FleetOptions(lost_after=20.0)

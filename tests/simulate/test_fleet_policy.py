@@ -95,6 +95,7 @@ def test_a_cut_link_to_a_live_coordinator_has_no_effect_and_its_end_has(mission:
     assert AFTER - 6.0 < when - over < AFTER + 5.0
 
 
+@pytest.mark.few(0)
 def test_a_restarted_guard_restores_that_safe_state(mission: Mission) -> None:
     fleet = Fleet(mission, 3)
     on_its_way(fleet)

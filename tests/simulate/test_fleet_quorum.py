@@ -96,7 +96,7 @@ def test_a_home_that_is_no_member_starts_and_ends_coordinators_under_leases(tmp_
     run_until(Fleet(mission(tmp_path, team=team), 1), "complete", 60.0)
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: Path, seed: int) -> None:
     fleet = Fleet(mission(tmp_path), seed)
@@ -135,6 +135,7 @@ def test_the_end_of_the_mission_is_unknown_without_a_majority(tmp_path: Path) ->
     assert fleet.left == {left: exit_status.UNKNOWN_OUTCOME}
 
 
+@pytest.mark.few(0)
 def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 3)
     run_until(fleet, "stamp 10\n", 30.0)

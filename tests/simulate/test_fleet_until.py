@@ -93,6 +93,7 @@ def test_a_call_delayed_in_the_pipe_of_a_suspended_guard_is_not_executed(
     assert re.search(told, refusals(fleet))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(2))
 def test_under_any_suspension_no_call_begins_after_its_time(mission: Mission, seed: int) -> None:
     fleet = Fleet(mission, seed)

@@ -108,6 +108,7 @@ def test_a_kit_runs_its_silences_and_dead_guards_on_virtual_time(desk, servo):
     assert len(found) == 21
 
 
+@pytest.mark.few(0)
 def test_a_device_left_unsafe_is_reported(desk, fake, servo):
     async def act(bench):
         await bench.call("torque", True)

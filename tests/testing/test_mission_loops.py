@@ -134,6 +134,7 @@ def test_a_stop_ends_the_ticks_before_the_devices_are_safe(rover):
     assert team.said("loop-failed") == team.said("loop drive of rover failed") == 0
 
 
+@pytest.mark.few(0)
 def test_loops_run_without_network_and_restart_with_their_host(rover):
     team = rover("sleep(60);")
     team.run(until="tick 12")

@@ -287,6 +287,7 @@ def test_endless_calls_to_an_instant_double_end_at_the_time_limit(walk):
         team.run(until_done=True, at_most=1.0)
 
 
+@pytest.mark.few(0)
 def test_waiver_lines_of_the_demo_are_shorter_than_its_other_lines(lfield_mission):
     team = lfield_mission(FLIGHT)
     team.run(12.0)

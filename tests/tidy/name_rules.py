@@ -25,6 +25,8 @@ class Banned:
     def instead(self, name: str, file: str = "") -> str | None:
         """The replacement of a name in a file, or None where it may be used."""
         plain = name.strip("_").lower()
+        if plain not in self.names and not any(word in self.words for word in plain.split("_")):
+            return None
         terms = [term for term, paths in self.terms.items() if not paths or file.startswith(paths)]
         if plain in self.names and plain not in terms:
             return self.names[plain]

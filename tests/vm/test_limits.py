@@ -68,7 +68,7 @@ coordinator B { init(string[] arg) {
     assert desk.output == ["slow already serves its limit of 1 threads"]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("body", "reason"),
     [

@@ -24,6 +24,7 @@ def position_command(index, value):
     return uavcan.equipment.actuator.ArrayCommand(commands=[command])
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_foreign_client_allocates_ids_reads_and_commands_simulated_nodes():
     """With its own slcan driver, allocator and node monitor."""

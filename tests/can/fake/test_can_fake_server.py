@@ -94,6 +94,7 @@ def test_clients_come_and_go_beside_one_that_does_not_read():
         mute.close()
 
 
+@pytest.mark.few(0)
 def test_many_frames_at_once_are_delayed_but_not_lost():
     with (
         running_fake("can") as fake,
@@ -176,6 +177,7 @@ def test_signal_ends_the_fake(number):
         assert fake.process.wait(60) == 0
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("options", "status", "words"),
     [

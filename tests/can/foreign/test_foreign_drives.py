@@ -81,6 +81,7 @@ def test_every_foreign_drive_passes_the_kit(bus, bound, pytestconfig):
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.few(0)
 def test_unsuitable_drive_is_refused_with_its_mapping_and_abort_text(bus, bound):
     async def open_it():
         async with guarded(bound(bus(UNFIT)[0])):

@@ -66,6 +66,7 @@ def test_the_query_program_prints_offers_and_reasons(lfield, alone) -> None:
     assert [line.partition(":")[0] for line in ended.stdout.splitlines()] == ["near", "far"]
 
 
+@pytest.mark.few(0)
 def test_the_event_program_writes_events_until_the_mission_ends(lfield, alone) -> None:
     lfield.write("mission.capabilities.yaml", CAPABILITIES)
     mission = lfield.mission(PROGRAM.replace("PAUSE", "5.0"), DEPLOYMENT)

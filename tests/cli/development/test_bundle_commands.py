@@ -263,7 +263,7 @@ NOT_ON_ROBOTS += ("lfield.capability.condition_parser", "lfield.capability.condi
 NOT_ON_ROBOTS += ("lfield.capability.program_types", "lfield.mission.loader", "rich")
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("example", ["01-first-flight", "02-equivalent-lift", "10-client-server"])
 def test_neither_a_host_nor_its_guards_load_the_compiler_or_yaml(lfield, example) -> None:
     """Python lists every import of every process, also of fakes, which do not run on robots."""

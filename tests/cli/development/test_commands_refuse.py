@@ -251,6 +251,7 @@ def test_a_program_file_that_cannot_be_written_is_reported(lfield, refused, good
     assert not [path.name for path in lfield.folder.iterdir() if path.name.startswith("tmp")]
 
 
+@pytest.mark.few(0)
 def test_a_listing_whose_reader_closes_ends_quietly(lfield, good):
     listing = f"{sys.executable} -m lfield disasm mission.L"
     command = f"unset PYTHONUNBUFFERED; {listing} | head -1; echo ${{PIPESTATUS[0]}}"

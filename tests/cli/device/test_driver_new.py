@@ -79,6 +79,7 @@ def endpoint(site):
     fake.stdout.close()
 
 
+@pytest.mark.few(0)
 def test_a_new_driver_passes_the_kit_on_its_own_fake(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--silence", "2")
     said, _ = kit.communicate()

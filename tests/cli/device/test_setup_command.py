@@ -42,6 +42,7 @@ def own(lines):
     return [line for line in lines if ": autopilot: " not in line]
 
 
+@pytest.mark.few(0)
 def test_missing_settings_are_reported_written_and_restored(lfield, here, setup, endpoint, deployment):
     command = f"lfield setup --deploy {deployment}"
 

@@ -97,6 +97,7 @@ def test_hosts_and_commands_use_the_inventory(team) -> None:
     assert team.here("ps", "mission.dL", "--map", "alpha=127.0.0.8:1").status == 69
 
 
+@pytest.mark.few(0)
 def test_an_emergency_stop_reaches_answering_hosts_and_names_the_others(team) -> None:
     team.inventory(alpha="'127.0.0.2:{alpha}'", bravo="'127.0.0.3:{bravo}', '127.0.0.4:{bravo}'")
     assert team.here("estop").status == 69

@@ -21,6 +21,7 @@ def state_of(said, host: str, purpose: str) -> tuple[str, str]:
     return found["state"], found["certificate"]
 
 
+@pytest.mark.few(0)
 def test_each_address_is_checked_and_a_host_without_an_answer_is_named(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up("alpha")
@@ -40,6 +41,7 @@ def test_each_address_is_checked_and_a_host_without_an_answer_is_named(lfield, h
     assert shown.out[1].split()[:4] == ["alpha", "127.0.0.1", str(service), "answers"]
 
 
+@pytest.mark.few(0)
 def test_a_wrong_address_is_named_by_its_certificate(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()

@@ -102,6 +102,7 @@ def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield,
     bravo.wait_for("EMERGENCY STOP")
 
 
+@pytest.mark.few(0)
 def test_a_command_without_the_zenoh_package_names_it(lfield) -> None:
     """The Python cannot import the package: the error is one sentence with a code, without a traceback."""
     lfield.write("zenoh.py", "raise ImportError('hidden by the test')\n")

@@ -388,6 +388,7 @@ def test_a_dead_agent_is_dumped_and_explained(lfield, died, here):
     assert re.search(r"^ +\d+ bytes +1 × Pair$", text, re.M)
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("damage", [b"", b"\xff"])
 def test_a_damaged_dump_is_refused(lfield, here, died, damage):
     data = died.dump.read_bytes()

@@ -57,6 +57,7 @@ def test_the_running_team_answers_as_json(mission, here):
     assert {offer["agent"] for offer in whole["capabilities"][0]["offers"]} == {"arm1", "arm2"}
 
 
+@pytest.mark.few(0)
 def test_a_silent_host_is_named(mission, lfield, here):
     (map_, place) = lfield.maps(["bravo"])
     shown = here("query", "Lift", "--deploy", mission.deployment, map_, place, status=0)

@@ -101,6 +101,7 @@ def test_an_unauthenticated_peer_with_bad_bytes_gets_no_reply(alpha, name):
     assert alpha.popen.poll() is None
 
 
+@pytest.mark.few(0)
 def test_an_unauthenticated_tls_client_gets_no_data_of_the_host(alpha):
     with connect(alpha) as sock:
         sock.sendall(bytes.fromhex("16030100c6010000c20303") + bytes(192))

@@ -386,6 +386,7 @@ def test_a_host_that_cannot_start_is_in_the_json_log(lfield):
     assert "/dev/none" in last["fields"]["reason"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("program", "status", "code"),
     [("", 66, "file-not-readable"), ("resource Arm {", 65, "program-errors")],

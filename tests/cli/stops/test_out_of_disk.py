@@ -73,6 +73,7 @@ def test_a_team_that_cannot_store_its_manifest_does_not_fly(lfield, alone, optio
     assert "File too large; no command could find what runs, to stop it" in refused.said
 
 
+@pytest.mark.few(0)
 def test_a_mission_that_cannot_be_built_on_a_full_disk_is_one_sentence(lfield, alone):
     file = lfield.mission(PROGRAM + "\n", "//Copter:lead@alpha\n")
     words = ("up", "--deploy", file, "--sim", "--host", "alpha", *lfield.maps(["alpha"]))

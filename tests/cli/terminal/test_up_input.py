@@ -50,6 +50,7 @@ def test_a_single_reading_host_needs_no_name(lfield, options):
     assert any(line.endswith("ready?") for line in run.out)
 
 
+@pytest.mark.few(0)
 def test_lines_are_addressed_to_hosts(lfield):
     deployment = lfield.mission(PROGRAM, TWO.format(limit=50))
     run = lfield.start("up", "--deploy", deployment, "--all", "--until-done", stdin=True)

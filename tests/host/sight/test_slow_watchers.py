@@ -89,6 +89,7 @@ def test_a_reader_that_paused_misses_no_rare_event():
     assert states(sent) == sorted(states(sent))
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("lines", [15, 60, 200])
 def test_a_slow_reader_loses_many_events_at_once_and_gets_new_ones(lines):
     """The watcher reads one batch per second; in the last case, more events are dropped than a batch has."""

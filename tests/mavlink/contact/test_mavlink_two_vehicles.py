@@ -126,7 +126,7 @@ def test_second_vehicle_is_ignored_while_the_first_flies(bench, flavour):
     assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @BOTH
 @pytest.mark.parametrize("later", [False, True])
 def test_second_vehicle_does_not_replace_one_silent_in_flight(bench, flavour, later):

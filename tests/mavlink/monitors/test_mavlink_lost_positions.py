@@ -16,6 +16,7 @@ from lfield_sim.mavlink.telemetry import message_table, motion_messages
 GPS2_RAW = int(dialect.MAVLINK_MSG_ID_GPS2_RAW)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0}, given="flavour")
 async def test_fix_lost_for_one_second_does_not_end_a_motion(b, fc, /, flavour):

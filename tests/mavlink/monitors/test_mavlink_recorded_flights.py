@@ -115,6 +115,7 @@ def test_recorded_gps_loss_is_found_within_a_second():
     assert "fix is lost" in watched.monitor.lost_position
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("name", "begins", "ends"),
     [

@@ -71,6 +71,7 @@ async def test_px4_fence_ends_an_orbit_and_keeps_control(b, fc, /):
     assert math.hypot(*b.autopilot.vehicle.place[:2]) < 16.0
 
 
+@pytest.mark.few(0)
 @on_bench("bench", flavour="px4")
 async def test_status_text_after_the_mode_change_is_awaited(b, fc, /):
     await up(fc, 6.0)
@@ -172,6 +173,7 @@ async def test_status_text_of_an_inactive_failsafe_is_no_takeover(b, fc, /):
     await fc.execute("setVelocity", [1.0, 0.0, 0.0])
 
 
+@pytest.mark.few(0)
 def test_battery_failsafe_keeps_control_until_release(bench):
     """As recorded (gauntlet-a): GUIDED works again, the status stays CRITICAL, later arming is refused."""
     b = bench(limits={"speed": 3.0})

@@ -271,6 +271,7 @@ async def test_safe_state_of_an_armed_copter_on_the_ground_disarms_it(b, fc, /):
     assert not b.autopilot.armed
 
 
+@pytest.mark.few(0)
 @on_bench("bench")
 async def test_positions_are_relative_to_the_current_home(b, fc, /):
     await up(fc)

@@ -150,6 +150,7 @@ async def test_ardupilot_flies_the_commanded_speed_in_every_motion(b, fc, /, kin
     assert [note for note in b.notes if "limit exceeded" in note] == []
 
 
+@pytest.mark.few(0)
 @on_bench("limited", flavour="px4", kind="rover", limits={"speed": 2.0})
 async def test_px4_rover_overspeed_is_compensated(b, fc, /):
     await fc.execute("arm", [])

@@ -81,7 +81,7 @@ def changes(b, name):
     }[name]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["longer", "as long", "at once", "high", "spline", "arc"])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_vehicle_holds_before_a_changed_mission_leaves_the_limits(bench, flavour, kind, name):

@@ -21,6 +21,7 @@ from lfield_sim.autopilot.ground_vehicle import Wheels
 # -- heights ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(0)
 @on_bench("bench", flavour="px4")
 async def test_heights_stay_relative_to_takeoff_when_home_drifts(b, fc, /):
     await up(fc, 6.0)
@@ -97,6 +98,7 @@ async def test_rover_with_car_steering_refuses_turns_in_place(b, fc, /):
     assert b.autopilot.mode == "HOLD"
 
 
+@pytest.mark.few(0)
 @on_bench("bench", kind="rover")
 async def test_rover_may_take_a_detour_to_an_orbit(b, fc, /):
     await fc.execute("arm", [])
@@ -290,6 +292,7 @@ async def test_vehicle_can_fly_again_after_landing_or_return(b, fc, /, flavour):
     assert b.autopilot.vehicle.airborne
 
 
+@pytest.mark.few(0)
 @on_bench("bench")
 async def test_landing_continues_below_home(b, fc, /, monkeypatch):
     """A slope: the landing point is 20 m below the takeoff point."""

@@ -98,6 +98,7 @@ async def test_rover_drives_a_plan(b, fc, /, flavour):
     assert b.values["position"][:2] == pytest.approx([15.0, 15.0], abs=3.0)
 
 
+@pytest.mark.few(1)
 @BOTH
 @on_bench("bench", given="flavour")
 async def test_cancelled_plan_holds(b, fc, /, flavour):

@@ -60,6 +60,7 @@ async def test_stick_takeover_ends_the_setpoints(b, fc, /):
     assert b.autopilot.mode == "POSCTL", "it is left to the pilot"
 
 
+@pytest.mark.few(0)
 @on_bench("px4")
 async def test_disabled_stick_override_is_no_takeover(b, fc, /):
     flight = await away(fc)
@@ -198,6 +199,7 @@ def test_px4_return_is_flown_with_waiver_or_as_safe_state(px4, given):
     b.run(story)
 
 
+@pytest.mark.few(0)
 @on_bench("bench", waivers=("device_watchdog",))
 async def test_ardupilot_return_needs_no_waiver(b, fc, /):
     await up(fc, 8.0)

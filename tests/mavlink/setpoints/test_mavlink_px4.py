@@ -44,6 +44,7 @@ async def test_complete_flight_with_px4(b, fc, /):
     assert not b.autopilot.armed
 
 
+@pytest.mark.few(0)
 @on_bench("px4", kind="rover", limits={"speed": 2.0, "radius": 8.0})
 async def test_px4_rover_drives_a_circle_to_its_heading(b, fc, /):
     await fc.execute("arm", [])
@@ -175,6 +176,7 @@ async def test_px4_orbit_and_return(b, fc, /):
     assert b.values["landed"]
 
 
+@pytest.mark.few(0)
 @on_bench("px4", limits={"speed": 2.0})
 async def test_px4_keeps_the_speed_limit(b, fc, /):
     await up(fc)

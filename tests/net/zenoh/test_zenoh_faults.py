@@ -157,6 +157,7 @@ def test_a_stopped_peer_blocks_no_other_link_and_its_link_is_closed(router):
     bench.close()
 
 
+@pytest.mark.few(0)
 def test_a_killed_peer_is_noticed_before_the_silence_limit(router):
     bench = bench_at(router.endpoint)
     command = [sys.executable, str(Path(__file__).with_name("stopped_peer.py")), router.endpoint]

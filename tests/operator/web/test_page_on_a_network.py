@@ -110,6 +110,7 @@ def test_the_link_opens_the_page_for_a_browser_with_the_root(page, client: Clien
         assert client.asks("/look", Cookie=session, Host=host)[:2] == (403, FOREIGN_ADDRESS)
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_a_denied_order_is_refused_without_the_page_too(page, client: Client) -> None:
     page.do("bar stop your keys let you observe, not stop")

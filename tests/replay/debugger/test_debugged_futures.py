@@ -76,6 +76,7 @@ def test_a_future_shows_its_call_and_its_result(lifting):
     assert "right.lift() returned" in shown
 
 
+@pytest.mark.few(0)
 def test_steps_stop_in_the_program_and_not_in_the_library(lifting):
     debugger = Debugger(lifting)
     debugger.enter()

@@ -181,6 +181,7 @@ def test_a_hop_is_neither_a_change_of_a_value_nor_of_a_condition(debugger):
     assert places(debugger, lambda: debugger.condition_target("leg == 1"), backward=True) == found[:1]
 
 
+@pytest.mark.few(0)
 def test_a_coordinator_is_followed_after_the_end_of_its_portal_thread(debugger):
     debugger.add_breakpoint(Breakpoint("mission.L", FLY))
     assert debugger.resume()

@@ -67,6 +67,7 @@ def test_rover_drives_up_to_the_fence_for_a_goal_beyond():
     assert 26.0 < c.place[0] < 29.0
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("make", "action", "mode", "texts"),
     [

@@ -83,6 +83,7 @@ def test_malformed_bytes_do_not_break_the_fake(pieces, flavour):
     assert c.command(ARM, 1) in (ACCEPTED, None)
 
 
+@pytest.mark.few(0)
 @settings(max_examples=50, deadline=None)
 @given(st.lists(messages(), min_size=1, max_size=8), flavours, kinds, st.booleans())
 def test_valid_messages_with_any_values_do_not_break_the_fake(several, flavour, kind, flying):

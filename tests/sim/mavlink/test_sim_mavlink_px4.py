@@ -227,6 +227,7 @@ def test_distance_fence_breach_holds():
     assert c.command(ONCE, 162) == DENIED, "PX4 reports its fence only by text"
 
 
+@pytest.mark.few(0)
 def test_orbit_keeps_its_radius():
     c = px4()
     up(c)
@@ -321,6 +322,7 @@ def test_rover_reports_takeoff_and_landing_by_texts():
     assert c.autopilot.mode == "AUTO.LOITER"
 
 
+@pytest.mark.few(0)
 def test_rover_drives_faster_than_commanded_and_disarms_at_home():
     c = px4("rover")
     c.command(ARM, 1)

@@ -67,6 +67,7 @@ def test_a_finally_block_after_the_simulation_uses_the_loop_of_its_process() -> 
     assert not process.loop.machine.pinned
 
 
+@pytest.mark.few(0)
 def test_processes_of_a_discarded_simulation_are_not_unwound() -> None:
     said = list[str]()
     timeline = EventQueue()

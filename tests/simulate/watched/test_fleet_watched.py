@@ -308,7 +308,7 @@ def test_an_exception_of_a_portal_is_reported_with_its_end(tmp_path: Path) -> No
     assert chain(watcher, finished)[:2] == ["ended", "began"]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_run_is_the_same_with_and_without_a_watcher(tmp_path: Path, seed: int) -> None:
     """A watcher does not change the actions of the team: no log line, and no time."""

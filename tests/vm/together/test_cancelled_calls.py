@@ -172,6 +172,7 @@ def test_a_cancelled_portal_is_interrupted_in_a_sleep_not_in_a_query() -> None:
     assert yard.pass_time(0.0) == ["seen enough", OVER.format("looks")]
 
 
+@pytest.mark.few(0)
 def test_an_ended_thread_releases_its_monitor() -> None:
     yard = Yard("c.holds();", "c.next();")
     yard.pass_time(2.0)
@@ -211,6 +212,7 @@ def test_a_block_that_ends_in_time_clears_its_limit() -> None:
     assert yard.pass_time(10.0) == ["in", "in time", "1"]
 
 
+@pytest.mark.few(0)
 def test_a_failed_resource_ends_the_wait_for_its_cancelled_call() -> None:
     yard = Yard("c.deaf();")
     yard.pass_time(2.0)

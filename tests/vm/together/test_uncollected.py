@@ -82,7 +82,7 @@ def travelled(seed: int, packet: int) -> tuple[list[str], int, int, int]:
     return joined.printed, left, same, largest
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, 20, 5))
 def test_an_uncollected_block_arrives_from_any_point_with_any_garbage(first: int) -> None:
     hops = uncollected = 0

@@ -78,7 +78,7 @@ def test_cached_code_is_found_again(cached: Path, monkeypatch: pytest.MonkeyPatc
     assert notes == []
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty", "other"])
 def test_damaged_code_is_compiled_again_with_one_line(cached: Path, damage: str) -> None:
     notes: list[str] = []

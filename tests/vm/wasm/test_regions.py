@@ -92,6 +92,7 @@ def test_no_region_reaches_the_end_of_the_address_space() -> None:
     assert ADDRESS_SPACE - PAGE - 512 < last <= ADDRESS_SPACE - PAGE
 
 
+@pytest.mark.few(0)
 def test_with_a_full_arena_a_larger_free_region_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = HeapArena()
