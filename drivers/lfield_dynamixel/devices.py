@@ -104,21 +104,21 @@ class Dynamixel(MovingMembers):
         limit = self.binding.limits.get("current", math.inf)
         await self._set_goal("setCurrent", "current", current, self.servo.model.current, limit)
 
-    async def _set_goal(self, primitive: str, mode: str, value: float, unit: float, limit: float) -> None:
+    async def _set_goal(self, instruction: str, mode: str, value: float, unit: float, limit: float) -> None:
         """Sends a goal in the nearest count within the limit."""
-        self.check_ready(primitive, [mode])
+        self.check_ready(instruction, [mode])
         counts = round(self.servo.joint.direction * value / unit)
         if abs(counts) * unit > limit * ROUNDED:
             counts -= 1 if counts > 0 else -1
-        await self._command(primitive, *self.servo.write_of(f"goal_{mode}", counts))
+        await self._command(instruction, *self.servo.write_of(f"goal_{mode}", counts))
 
-    async def _command(self, primitive: str, address: int, data: bytes) -> None:
+    async def _command(self, instruction: str, address: int, data: bytes) -> None:
         """Writes a goal. The condition explains a refusal better than the error byte."""
         try:
             await self.chain.write(self.servo.node, address, data)
         except ServoRefusal:
             await self.read_conditions()
-            self.check_ready(primitive, [self.servo.mode])
+            self.check_ready(instruction, [self.servo.mode])
             raise
 
     async def do_calibrate(self, angle: float) -> None:
@@ -150,12 +150,12 @@ class Dynamixel(MovingMembers):
             raise self.error(f"setRange: {lowest:g} to {highest:g} rad is beyond {edge:.3f} rad")
         await servo.write_eeprom(min_position_limit=low, max_position_limit=high)
 
-    def _check_current(self, primitive: str, current: float) -> None:
+    def _check_current(self, instruction: str, current: float) -> None:
         limit = self.binding.limits.get("current", math.inf)
         if not abs(current) <= limit * ROUNDED or math.isinf(current):  # refuses NaN as well
-            raise self.error(f"{primitive} of {current:g} A is above the limit of {limit:g} A")
+            raise self.error(f"{instruction} of {current:g} A is above the limit of {limit:g} A")
         if not self.servo.model.current:
-            raise self.error(f"{primitive}: a {self.servo.model.name} does not measure its current")
+            raise self.error(f"{instruction}: a {self.servo.model.name} does not measure its current")
 
 
 class DynamixelGroup(MovingMembers):
@@ -193,9 +193,9 @@ class DynamixelGroup(MovingMembers):
         self.check_ready("setPositions", POSITION_MODES)
         await self.send(self.goals(goals, self.last_readings), COMMAND)
 
-    def _by_id(self, primitive: str, angles: list[float]) -> dict[int, float]:
+    def _by_id(self, instruction: str, angles: list[float]) -> dict[int, float]:
         if len(angles) != len(self.servos):
             raise self.error(
-                f"{primitive} requires {len(self.servos)} angles, one for each id, not {len(angles)}"
+                f"{instruction} requires {len(self.servos)} angles, one for each id, not {len(angles)}"
             )
         return dict(zip(self.servos, angles, strict=True))

@@ -58,11 +58,11 @@ class MovingMembers(Members):
         await self._make_safe("torque_hold")
         self.publish_readings(await self.observe())
 
-    async def travel(self, primitive: str, angles: Angles) -> None:
+    async def travel(self, instruction: str, angles: Angles) -> None:
         """Moves each servo to its angle so that all arrive together. Raises DeviceError."""
-        self.check_angles(primitive, angles)
+        self.check_angles(instruction, angles)
         await self.read_conditions()
-        self.check_ready(primitive, POSITION_MODES)
+        self.check_ready(instruction, POSITION_MODES)
         start = await self.observe()
         self._check_present(angles, start)
         writes = self.goals(angles, start)
@@ -70,7 +70,7 @@ class MovingMembers(Members):
         try:
             # A packet to several is not confirmed: repeat wrong goals one by one.
             await self.for_each(writes, lambda servo: self._confirm(servo, writes[servo]))
-            await self._await_arrival(primitive, angles)
+            await self._await_arrival(instruction, angles)
         except DeviceError:
             # When one member has failed, the others must not continue.
             await self.hold_answering()
@@ -100,7 +100,7 @@ class MovingMembers(Members):
         if observed.data != data:
             await self.chain.write(servo.node, address, data)
 
-    async def _await_arrival(self, primitive: str, angles: Angles) -> None:
+    async def _await_arrival(self, instruction: str, angles: Angles) -> None:
         """Waits until all are at rest at their angles. Members without progress are stopped."""
         tolerance: float = self.binding.option("tolerance")
         least_distance, progress_at = math.inf, self.clock.monotonic()
@@ -109,7 +109,7 @@ class MovingMembers(Members):
             self.publish_readings(observed)
             self._check_present(angles, observed)
             if any(value.alert for value in observed.values()) or not self._have_torque():
-                await self.check_shut_down(primitive)
+                await self.check_shut_down(instruction)
             distances = {number: abs(angle - observed[number].position) for number, angle in angles.items()}
             if max(distances.values()) <= tolerance and all(
                 abs(v.velocity) <= STILL for v in observed.values()
@@ -118,14 +118,14 @@ class MovingMembers(Members):
             if sum(distances.values()) < least_distance - MIN_PROGRESS:
                 least_distance, progress_at = sum(distances.values()), self.clock.monotonic()
             if self.clock.monotonic() - progress_at > STUCK_TIME:
-                await self._stop_stalled(primitive, distances, tolerance, observed)
+                await self._stop_stalled(instruction, distances, tolerance, observed)
             await asyncio.sleep(POLL_INTERVAL)
 
     async def _stop_stalled(
-        self, primitive: str, distances: Angles, tolerance: float, readings: Readings
+        self, instruction: str, distances: Angles, tolerance: float, readings: Readings
     ) -> None:
         """Stops blocked members, which would keep pushing. Raises DeviceError."""
-        await self.check_shut_down(primitive)
+        await self.check_shut_down(instruction)
         stalled = [number for number, distance in distances.items() if distance > tolerance]
         await self.for_each(
             [self.servos[n] for n in stalled], lambda s: s.write_hold_goal(readings[s.node.number])
@@ -134,12 +134,13 @@ class MovingMembers(Members):
             f"servo {self.servos[n].joint.label} stopped {distances[n]:.3f} rad short" for n in stalled
         )
         raise self.error(
-            f"{primitive}: {description or 'it does not come to rest'}; something is in the way or too heavy"
+            f"{instruction}: {description or 'it does not come to rest'}; "
+            "an obstacle blocks it, or its load is too heavy"
         )
 
     # -- checks -----------------------------------------------------------------------------------------
 
-    def check_angles(self, primitive: str, angles: Angles) -> None:
+    def check_angles(self, instruction: str, angles: Angles) -> None:
         """Refuses angles that are not finite, or outside the bounds of the binding or the servo."""
         for number, angle in angles.items():
             servo = self.servos[number]
@@ -147,27 +148,27 @@ class MovingMembers(Members):
             if not low - ROUNDING <= angle <= high + ROUNDING:  # refuses NaN as well
                 subject = f"servo {servo.joint.label}: " if len(self.servos) > 1 else ""
                 raise self.error(
-                    f"{primitive} refused: {subject}{angle:g} rad is outside {low:g} to {high:g} rad"
+                    f"{instruction} refused: {subject}{angle:g} rad is outside {low:g} to {high:g} rad"
                 )
             minimum, maximum = servo.reach
             if servo.is_bounded and not minimum - 1e-3 <= angle <= maximum + 1e-3:
                 raise self.error(
-                    f"{primitive} refused: servo {servo.joint.label} only moves from {minimum:.3f} to "
+                    f"{instruction} refused: servo {servo.joint.label} only moves from {minimum:.3f} to "
                     f"{maximum:.3f} rad (its position limits), not to {angle:g}"
                 )
 
-    def check_ready(self, primitive: str, modes: Collection[str]) -> None:
+    def check_ready(self, instruction: str, modes: Collection[str]) -> None:
         """Refuses an instruction that a servo would not follow, naming the call that is needed."""
         for servo in self.servos.values():
             label = servo.joint.label
             if servo.mode not in modes:
                 raise self.error(
-                    f"{primitive} requires the mode {' or '.join(modes)}; "
+                    f"{instruction} requires the mode {' or '.join(modes)}; "
                     f"servo {label} is in {servo.mode} mode"
                 )
             if servo.is_slave:
                 raise self.error(
-                    f"{primitive} refused: servo {label} is a slave (bit 1 of its drive mode) and only "
+                    f"{instruction} refused: servo {label} is a slave (bit 1 of its drive mode) and only "
                     "follows the cable of its master; bind the master"
                 )
             self._check_healthy(servo)
@@ -175,9 +176,9 @@ class MovingMembers(Members):
             if not condition.torque:
                 cause = f" ({condition.faults})" if condition.faults else ""
                 raise self.error(
-                    f"{primitive}: the torque of servo {label} is off{cause}; call torque(true) first"
+                    f"{instruction}: the torque of servo {label} is off{cause}; call torque(true) first"
                 )
-            self._check_full_torque(primitive, servo)
+            self._check_full_torque(instruction, servo)
 
     def _check_healthy(self, servo: Servo) -> None:
         number, label = servo.node.number, servo.joint.label
@@ -201,7 +202,7 @@ class MovingMembers(Members):
             names = ", ".join(f"servo {self.servos[number].joint.label}" for number in missing)
             raise self.error(f"{names} {'does' if len(missing) == 1 else 'do'} not answer", timeout=True)
 
-    async def check_shut_down(self, primitive: str) -> None:
+    async def check_shut_down(self, instruction: str) -> None:
         """Fails when a servo has switched itself off meanwhile. An AX reports the reason only while it
         applies.
         """
@@ -211,7 +212,7 @@ class MovingMembers(Members):
             if not condition.torque and condition.faults:
                 label = servo.joint.label
                 raise self.error(
-                    f"{primitive}: servo {label} has shut down: {condition.faults}; {servo.remedy}"
+                    f"{instruction}: servo {label} has shut down: {condition.faults}; {servo.remedy}"
                 )
             if not condition.torque:
                 # A second servo with the same id and without torque may have answered.
@@ -219,27 +220,27 @@ class MovingMembers(Members):
                 if number in self.conflicts:
                     raise self.error(self.conflicts[number])
                 raise self.error(
-                    f"{primitive}: servo {servo.joint.label} has lost its torque without a fault, as after a "
-                    "drop of its supply voltage; torque(true) restores it"
+                    f"{instruction}: servo {servo.joint.label} has lost its torque without a fault, as after "
+                    "a drop of its supply voltage; torque(true) restores it"
                 )
-            self._check_full_torque(primitive, servo)
+            self._check_full_torque(instruction, servo)
 
-    def _check_full_torque(self, primitive: str, servo: Servo) -> None:
+    def _check_full_torque(self, instruction: str, servo: Servo) -> None:
         """Refuses a servo that has reduced its torque after an error."""
         condition = self.conditions[servo.node.number]
         if condition.weak:
             label = servo.joint.label
             raise self.error(
-                f"{primitive}: servo {label} has reduced its torque: {condition.faults}; {servo.remedy}"
+                f"{instruction}: servo {label} has reduced its torque: {condition.faults}; {servo.remedy}"
             )
 
     def _have_torque(self) -> bool:
         """Whether all had torque when their conditions were last read."""
         return all(condition.torque for condition in self.conditions.values())
 
-    def _check_speed(self, primitive: str, speed: float) -> None:
+    def _check_speed(self, instruction: str, speed: float) -> None:
         limit = self.binding.limits.get("speed", math.inf)
         if not math.isfinite(speed):
-            raise self.error(f"{primitive} requires a finite number, not {speed}")
+            raise self.error(f"{instruction} requires a finite number, not {speed}")
         if abs(speed) > limit * ROUNDED:
-            raise self.error(f"{primitive} of {speed:g} rad/s is above the limit of {limit:g} rad/s")
+            raise self.error(f"{instruction} of {speed:g} rad/s is above the limit of {limit:g} rad/s")

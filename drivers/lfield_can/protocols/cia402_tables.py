@@ -86,12 +86,12 @@ class Direction:
     """Process data of one direction: records, mappings, required objects."""
 
     name: str
-    sent: bool
+    is_sent: bool
     record: int
     mapping: int
     first: int
-    ours: tuple[tuple[int, ...], ...]
-    needed: frozenset[int]
+    mappings: tuple[tuple[int, ...], ...]
+    required: frozenset[int]
 
 
 TPDO = Direction(

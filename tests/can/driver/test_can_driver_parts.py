@@ -193,7 +193,7 @@ def test_periodic_task_ends_after_its_time_and_when_stopped():
         loop, done = asyncio.get_running_loop(), []
         repeating = PeriodicTask(LoopClock())
         start = loop.time()
-        repeating.start(0.1, lambda: done.append(round(loop.time() - start, 3)), lasts=0.35)
+        repeating.start(0.1, lambda: done.append(round(loop.time() - start, 3)), duration=0.35)
         await asyncio.sleep(1.0)
         assert done == [0.1, 0.2, 0.3]
         repeating.resume()
@@ -274,7 +274,7 @@ def test_cia402_axis_survives_any_frames(bench, binding, frames):
     async def mission(axis):
         tpdos = [
             Pdo(n + 1, first + 5, entries)
-            for n, (first, entries) in enumerate(zip(TRANSMITTED, TPDO.ours, strict=False))
+            for n, (first, entries) in enumerate(zip(TRANSMITTED, TPDO.mappings, strict=False))
         ]
         axis.protocol.pdo_configuration = PdoConfiguration(ProcessData(tpdos))
         for code, data in frames:
