@@ -21,7 +21,7 @@ from lfield_mavlink.link.dialect import (
     station_heartbeat,
 )
 from lfield_mavlink.link.links import (
-    AGAIN,
+    RETRY_INTERVAL,
     Link,
     LinkEvents,
     LinkUses,
@@ -155,7 +155,7 @@ class MavlinkDriver(Driver):
         """Opens a link as soon as possible; logs each reason for a failure once."""
         reported = {reason}
         for attempt in count(2):
-            await asyncio.sleep(AGAIN)
+            await asyncio.sleep(RETRY_INTERVAL)
             try:
                 await link.open()
             except DeviceError as error:
@@ -175,7 +175,7 @@ class MavlinkDriver(Driver):
         if self._received_bytes:
             count = self._received_bytes
             return f"the {count} received bytes contain no heartbeat; is it the right port and baud rate?"
-        return "; ".join(self._ports[number].link.why_silent() for number in self._uses.vehicles)
+        return "; ".join(self._ports[number].link.silence_reason() for number in self._uses.vehicles)
 
     def _commander(self, system: int) -> str:
         """Another station that has just commanded a vehicle, as far as received on the links."""

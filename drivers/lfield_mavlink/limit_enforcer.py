@@ -80,7 +80,7 @@ class LimitEnforcer:
     def _on_position(self, _: object) -> None:
         now = self._vehicle.clock.monotonic()
         for name, kept in self._limits.items():
-            watched = self._state.armed and not self._vehicle.quiet
+            watched = self._state.armed and not self._vehicle.is_quiet
             sample = self._sample(name, kept) if watched else None
             if sample is None:
                 kept.watch.reset()

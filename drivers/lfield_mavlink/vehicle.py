@@ -68,7 +68,7 @@ class LinkViews:
     """
 
     counts: Callable[[], LinkCounts] = LinkCounts
-    why_silent: Callable[[], str] = lambda: ""
+    silence_reason: Callable[[], str] = lambda: ""
     sources: Sources | None = None
     others: Callable[[], str] = lambda: ""
 
@@ -90,7 +90,7 @@ class MavlinkVehicle(Contact):
     ) -> None:
         super().__init__(binding, manifest, clock, reports, send)
         links = links or LinkViews()
-        self._why_silent, self._sources = links.why_silent, links.sources
+        self._why_silent, self._sources = links.silence_reason, links.sources
         self._moves = 0
         self._streams, self._health = TelemetryStreams(self), LinkHealth(self, links.counts)
         self._version = AutopilotVersion(self)
@@ -278,7 +278,7 @@ class MavlinkVehicle(Contact):
                 self.lost = silent
                 self.note((log_messages.LINK_SILENT if silent else log_messages.LINK_BACK).line())
                 ready = False
-            if not (ready or silent or self.quiet):
+            if not (ready or silent or self.is_quiet):
                 ready = await self._renewed()
 
     async def _renewed(self) -> bool:

@@ -22,12 +22,12 @@ from lfield.driver import DeviceError
 from lfield.driver.network import is_host, unbracketed
 from lfield.driver.serial import SerialPort, parse_serial_endpoint
 from lfield_mavlink import log_messages
-from lfield_mavlink.link.link_events import AGAIN, LinkEvents, OnData
+from lfield_mavlink.link.link_events import RETRY_INTERVAL, LinkEvents, OnData
 from lfield_mavlink.link.tcp import TcpLink
 from lfield_mavlink.link.udp import UdpLink, UdpListener
 
 __all__ = [
-    "AGAIN",
+    "RETRY_INTERVAL",
     "Link",
     "LinkEvents",
     "LinkUses",
@@ -54,7 +54,7 @@ class Link(Protocol):
     def send_to(self, data: bytes, address: str) -> None:
         """Sends one packet to an address from which data was received."""
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         """The text to report when no data was received: known facts and a remedy."""
 
     def close(self) -> None:
@@ -165,7 +165,7 @@ class SerialLink:
         """Writes to the port, which has one peer."""
         self.port.write(data)
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         """The text for a silent port: it needs the right baud rate and an autopilot configured for
         MAVLink.
         """

@@ -24,7 +24,7 @@ from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, POSITION_AND_YAW,
 #: Seconds until the result for a vehicle whose motors went off in the air is known.
 SETTLES = 2.5
 #: Seconds after which a second receiver is queried again while the first has no fix.
-AGAIN = 0.4
+GPS_RETRY_INTERVAL = 0.4
 #: Seconds until the descent speeds are read, and until they are read again.
 FIRST_READ_DELAY, REREAD_INTERVAL = 2.0, 60.0
 #: Instructions that are allowed during a fall.
@@ -228,7 +228,7 @@ class FlightMonitor:
         """The greatest of some speeds in m/s; missing parameters are not requested again."""
         speeds = [0.0]
         for names in list(asked):
-            if self._vehicle.lost or self._vehicle.quiet:
+            if self._vehicle.lost or self._vehicle.is_quiet:
                 continue
             with suppress(DeviceError):
                 name, value = await self._parameters.read_any(names)
@@ -289,8 +289,8 @@ class FlightMonitor:
 
     def _on_gps(self, message: Any) -> None:
         self._position.on_fix(0, message.fix_type, self._now)
-        second = self._state.armed and message.fix_type < FIX and not self._vehicle.quiet
-        if second and self._now - self._second_at >= AGAIN:
+        second = self._state.armed and message.fix_type < FIX and not self._vehicle.is_quiet
+        if second and self._now - self._second_at >= GPS_RETRY_INTERVAL:
             # A second receiver does not report by itself.
             self._second_at = self._now
             self._vehicle.send(request_message(self._vehicle.system, dialect.MAVLINK_MSG_ID_GPS2_RAW))

@@ -149,7 +149,7 @@ class OwnFence:
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._parameters = vehicle, parameters
 
-    async def why_beyond(self, goal: Vector, text: str = "the goal is") -> str:
+    async def excess_reason(self, goal: Vector, text: str = "the goal is") -> str:
         """The parameter fence that excludes a goal, in metres of home; '' for none.
 
         ArduPilot silently ignores a setpoint there; PX4 reports that it is outside its fence, but not which.

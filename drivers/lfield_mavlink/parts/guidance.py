@@ -58,7 +58,7 @@ class Guidance:
             what, subject, place = await self._doubtful.get()
             # A lost link is reported elsewhere.
             with suppress(DeviceError):
-                if why := await self._motion.fence.why_beyond(place, subject):
+                if why := await self._motion.fence.excess_reason(place, subject):
                     self._vehicle.note(log_messages.FENCE_SUSPECTED.line(symptom=what, reason=why))
 
     # -- places ---------------------------------------------------------------------------------------
@@ -84,7 +84,7 @@ class Guidance:
         self._limits.check_goal(what, goal)
         self._check_placed(what)
         motion.start_motion(what)
-        if vehicle.profile.by_trajectory and (why := await motion.fence.why_beyond(goal)):
+        if vehicle.profile.by_trajectory and (why := await motion.fence.excess_reason(goal)):
             # PX4 follows setpoints up to its fence, and then acts.
             raise vehicle.error(f"{what} refused: {why}")
         speed = await motion.speed.of_goal()
@@ -129,7 +129,7 @@ class Guidance:
             return
         farthest = Circle((place[0], place[1], 0.0), TURN_CLEARANCE, 1.0, clockwise=True).farthest
         self._limits.check_goal(f"yaw, which needs {TURN_CLEARANCE:g} m to drive round in,", farthest)
-        if why := await motion.fence.why_beyond(
+        if why := await motion.fence.excess_reason(
             farthest, f"it needs {TURN_CLEARANCE:g} m to drive round in, up to"
         ):
             raise self._vehicle.error(f"yaw refused: {why}")
@@ -153,7 +153,7 @@ class Guidance:
         limits.check_speed("orbit", speed)
         self._check_placed("orbit")
         motion.start_motion("orbit")
-        if why := await motion.fence.why_beyond(circle.farthest, "the circle leads up to"):
+        if why := await motion.fence.excess_reason(circle.farthest, "the circle leads up to"):
             raise self._vehicle.error(f"orbit refused: {why}")
         order = motion.orders.orbit(self._state, circle)
         await motion.start("orbit", order)
@@ -190,7 +190,7 @@ class Guidance:
 
     def _check_fence_here(self) -> None:
         """Schedules a check of the fence after its failsafe acted; its text names no parameter."""
-        if (place := self._state.position) is not None and not self._vehicle.quiet:
+        if (place := self._state.position) is not None and not self._vehicle.is_quiet:
             self._doubtful.put_nowait(
                 (f"its failsafe controls the vehicle in {self._state.mode}", "it is", place)
             )

@@ -354,7 +354,7 @@ class Motion:
         """Raises DeviceError when the autopilot's own fence is the reason."""
         assert order.goal is not None, "the caller has checked it"
         texts = self._vehicle.reasons(self._started_at)
-        why = await self.fence.why_beyond(order.goal)
+        why = await self.fence.excess_reason(order.goal)
         if why or "geofence" in texts:
             await self._cancel_order(order)
             raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{texts}")

@@ -81,7 +81,7 @@ class Readiness:
         """The autopilot's texts against arming, on request; else the missing condition."""
         vehicle, now = self._vehicle, self._vehicle.clock.monotonic()
         # PX4 sends no texts without station heartbeats, and then nothing is requested.
-        if not vehicle.quiet and vehicle.silence <= LINK_LOST:
+        if not vehicle.is_quiet and vehicle.silence <= LINK_LOST:
             await vehicle.exchange.command(dialect.MAV_CMD_RUN_PREARM_CHECKS)
             # Several arrive at once: wait for the others too.
             await vehicle.wait_for(lambda: bool(self._complaints(now)), TEXT_TIMEOUT)

@@ -81,7 +81,7 @@ class Camera:
             await asyncio.sleep(POLL)
             camera = self._component
             present = self._vehicle.components.present(CAMERAS)
-            if camera not in present or self._vehicle.quiet or self._vehicle.lost:
+            if camera not in present or self._vehicle.is_quiet or self._vehicle.lost:
                 continue
             try:
                 await self._reports.request(CAPTURE, camera)

@@ -179,7 +179,7 @@ class Gimbal:
         if not all(abs(angle) <= math.pi for angle in goal):
             raise self._vehicle.error(f"{what} requires angles from -pi to pi")
         manager = await self._found(what)
-        if why := manager.why_beyond(*shown()):
+        if why := manager.excess_reason(*shown()):
             raise self._vehicle.error(f"{what} refused: {why}")
         await self._control(what, manager)
         degrees = tuple(map(math.degrees, goal))

@@ -42,7 +42,7 @@ class GimbalManager:
         """The component that reports the attitude."""
         return self.component if self.device <= MOST_ATTACHED else self.device
 
-    def why_beyond(self, pitch: float, yaw: float) -> str:
+    def excess_reason(self, pitch: float, yaw: float) -> str:
         """The angle that is out of range, in words; '' for none. A range without a width is unknown."""
         for name, angle, (least, most) in (("pitch", pitch, self.pitch), ("yaw", yaw, self.yaw)):
             if least < most and not least - MARGIN <= angle <= most + MARGIN:

@@ -95,7 +95,7 @@ class GuidedMode:
         """Commands the mode once; returns the result, None without a timely one."""
         profile, command = self._vehicle.profile, dialect.MAV_CMD_DO_SET_MODE
         values = profile.mode_command(profile.guided)
-        answer = await self._vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
+        answer = await self._vehicle.exchange.command(command, *values, once=True, answer_timeout=SHOWN)
         return answer.result
 
 

@@ -200,7 +200,7 @@ class SpeedControl:
     def _is_corrected(self) -> bool:
         """Whether the actual speed depends on the commanded one, and may correct it."""
         moves = self._steady and self._in_guided and self._state.armed
-        return moves and not self._vehicle.quiet and not self._slowed
+        return moves and not self._vehicle.is_quiet and not self._slowed
 
     def _on_position(self, _: object) -> None:
         speed, now = self.of_motion, self._vehicle.clock.monotonic()

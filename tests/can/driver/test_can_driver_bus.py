@@ -198,7 +198,9 @@ def test_controller_states_and_the_cause_of_bus_off_are_noted(stub):
         made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x40)]
         await bench.until(lambda: bench.noted("link opened: "))
         # The interface is open again, but no frame was received yet: its controller may still be off.
-        assert bench.bus.problem_text.startswith("bus off: no acknowledgement of a frame; check that another node")
+        assert bench.bus.problem_text.startswith(
+            "bus off: no acknowledgement of a frame; check that another node"
+        )
         made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
         await bench.until(lambda: bench.frames)
         assert bench.bus.problem_text == ""

@@ -157,5 +157,5 @@ def test_its_yaw_is_in_the_frame_of_its_flags(flags, yaw):
 
 
 def test_a_range_without_width_is_unknown():
-    assert GimbalManager(1, 1, (0.0, 0.0), (math.nan, math.nan)).why_beyond(3.0, 3.0) == ""
+    assert GimbalManager(1, 1, (0.0, 0.0), (math.nan, math.nan)).excess_reason(3.0, 3.0) == ""
     assert direction((0.0, 5.0, 5.0)) == pytest.approx((-math.pi / 4.0, math.pi / 2.0))
