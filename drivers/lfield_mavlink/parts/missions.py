@@ -224,7 +224,7 @@ class Missions:
         state = self._state
         if state.profile is None or state.home is None or not self._is_ours:
             return
-        if why := self._target.beyond(message, state.home, flies=self._vehicle.profile.flies):
+        if why := self._target.excess(message, state.home, flies=self._vehicle.profile.flies):
             self._sign(why)
 
     def _sign(self, why: str = "") -> None:
@@ -273,7 +273,7 @@ class Missions:
         self._curved = self._limits.bound_places and has_command(items, *CURVES)
         back = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH
         returns = [number + self._first for number, item in enumerate(items) if item.command == back]
-        self._changes.checked(curved=self._curved, returns=returns)
+        self._changes.on_checked(curved=self._curved, returns=returns)
         check_mission(what, items, self._limits, self._vehicle.error, await self._situation(items, starts))
 
     async def _situation(self, items: Sequence[Item], starts: bool) -> Situation:

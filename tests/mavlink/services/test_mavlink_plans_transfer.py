@@ -134,7 +134,7 @@ def route(count):
 
 
 def same(items, others):
-    return len(items) == len(others) and all(a.same(b) for a, b in zip(items, others, strict=True))
+    return len(items) == len(others) and all(a.matches(b) for a, b in zip(items, others, strict=True))
 
 
 @pytest.mark.parametrize("ardupilot", [True, False])
