@@ -85,7 +85,10 @@ class Identity:
     async def learn(self) -> None:
         """Stores the identity of the opened vehicle."""
         version = await self._request_version()
-        self._board, self._first_kind = (None if version is None else Board.of(version)), self._kind()
+        self._board, self._first_kind = (
+            (None if version is None else Board.from_message(version)),
+            self._kind(),
+        )
         self._is_known, self._reason = True, ""
 
     def suspect(self, reason: str) -> None:
@@ -96,7 +99,7 @@ class Identity:
 
     def on_version(self, version: Any | None) -> None:
         """Handles AUTOPILOT_VERSION: requires verification if it is from another vehicle."""
-        if self._is_known and version is not None and self._difference(Board.of(version)):
+        if self._is_known and version is not None and self._difference(Board.from_message(version)):
             self.suspect("it reported another unique id")
 
     def may_send(self, message: Any) -> bool:
@@ -119,7 +122,7 @@ class Identity:
             if self.is_certain:
                 return
             reason, version = self._reason, await self._request_version()
-            board = None if version is None else Board.of(version)
+            board = None if version is None else Board.from_message(version)
             self.other_vehicle = self._difference(board)
             if self.other_vehicle:
                 raise self._vehicle.error(self.other_vehicle)

@@ -131,14 +131,14 @@ class VehicleState:
         """The distance of the origin from the first one; None after a restart until it is known."""
         if self._first_origin is None:
             return (0.0, 0.0, 0.0)
-        return None if self.origin is None else self._first_origin.to(self.origin, self.radius)
+        return None if self.origin is None else self._first_origin.vector_to(self.origin, self.radius)
 
     @property
     def home_offset(self) -> Vector:
         """Home in the autopilot's local frame."""
         # The origin first: older ArduPilots leave the local position in HOME_POSITION at 0.
         if self.home is not None and (origin := self.origin) is not None:
-            north, east, down = origin.to(self.home, self.radius)
+            north, east, down = origin.vector_to(self.home, self.radius)
         else:
             north, east, down = self._local_home or (0.0, 0.0, 0.0)
         return (north, east, 0.0 if self.kind == "rover" else down)

@@ -120,7 +120,7 @@ async def plan(bench: Bench) -> str:
         )
         await bench.call("hold")
         await _await_stop(bench)
-        error = math.hypot(*start.to(Place(*bench.query("globalPosition")))[:2])
+        error = math.hypot(*start.vector_to(Place(*bench.query("globalPosition")))[:2])
         return f"2 waypoints, {_trip_distance(bench):g} m away and back; {error:.1f} m off at the end"
 
 

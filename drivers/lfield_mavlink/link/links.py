@@ -5,12 +5,12 @@ udpin:HOST:PORT       listens for vehicles that send (packets are sent to all re
 tcp:HOST:PORT         connects
 serial:/dev/ttyX:BAUD a serial port, 8N1
 
-HOST is a name or an address, an IPv6 address in brackets: tcp:[fd00::5]:5760. Each link is opened again by
-itself, with the name resolved anew, when it breaks or falls silent. Several of them, with commas between, are
-links to the same vehicles. `payload=udp:HOST:PORT` leads to their cameras and gimbals only.
+HOST is a name or an address, an IPv6 address in brackets: tcp:[fd00::5]:5760. A link that breaks or falls
+silent is reopened automatically, and its name is resolved again. Several links, separated by commas, lead to
+the same vehicles. `payload=udp:HOST:PORT` leads to their cameras and gimbals only.
 
 MAVSDK's udp://:PORT, udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT and serial:///dev/ttyX:BAUD
-are read too.
+are accepted too.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class LinkUses(NamedTuple):
     payload: Sequence[int]
 
     @classmethod
-    def of(cls, endpoint: str) -> LinkUses:
+    def parse(cls, endpoint: str) -> LinkUses:
         """The link numbers of an endpoint; a link may occur with and without the prefix."""
         parts, links = _parts(endpoint), split_endpoint(endpoint)
         return cls(
@@ -91,7 +91,7 @@ def parse_endpoint(endpoint: str) -> list[tuple[str, str, int]]:
 
     Raises DeviceError with the syntax.
     """
-    if not LinkUses.of(endpoint).vehicles:
+    if not LinkUses.parse(endpoint).vehicles:
         raise DeviceError("endpoint", f"'{endpoint}' has no link to the vehicle; write {SYNTAX}")
     return [_parsed(link) for link in split_endpoint(endpoint)]
 

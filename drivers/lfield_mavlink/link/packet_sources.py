@@ -80,7 +80,7 @@ class _SourceState:
             self.beat = now
             self.heartbeats.on_heartbeat(message, now)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-            self._on_board(Board.of(message), now)
+            self._on_board(Board.from_message(message), now)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_ATTITUDE:
             # One kind only: some senders have a different clock for each kind of message.
             self._on_clock(message.time_boot_ms / 1000.0, now)

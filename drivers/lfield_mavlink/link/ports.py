@@ -60,7 +60,7 @@ class LinkCounts:
     unsigned: int = 0
 
     @classmethod
-    def over(cls, ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
+    def total(cls, ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
         """The present totals."""
         return cls(
             broken=sum(port.reader.broken for port in ports),

@@ -32,7 +32,7 @@ class Board(NamedTuple):
     firmware: tuple[int, ...]
 
     @classmethod
-    def of(cls, message: Any) -> Board:
+    def from_message(cls, message: Any) -> Board:
         """The board of uid2 and uid: PX4's simulators all have the same uid, ArduPilot has only uid2."""
         uid2 = bytes(message.uid2).rstrip(b"\0")
         uid = uid2.hex() + (f"-{message.uid:x}" if message.uid else "") if uid2 or message.uid else ""
@@ -57,7 +57,7 @@ class SenderSeparator:
         """Whether a packet is the first vehicle's; meaningless with a single vehicle."""
         kind, number = message.get_msgId(), message.get_seq()
         if kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-            first = self._has_first_board(Board.of(message))
+            first = self._has_first_board(Board.from_message(message))
         elif kind in _TIMED and message.time_boot_ms:
             first = self._has_first_clock(kind, message.time_boot_ms / 1000.0 - now, now)
         else:

@@ -310,10 +310,11 @@ class FlightMonitor:
             return
         place = Place(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
         if state.origin is not None:
-            north, east, down = state.origin.to(place, state.radius)
+            north, east, down = state.origin.vector_to(place, state.radius)
         elif state.home is not None:
             north, east, down = (
-                w + h for w, h in zip(state.home.to(place, state.radius), state.home_offset, strict=True)
+                w + h
+                for w, h in zip(state.home.vector_to(place, state.radius), state.home_offset, strict=True)
             )
         else:
             return

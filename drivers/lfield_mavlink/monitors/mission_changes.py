@@ -81,7 +81,7 @@ class MissionTarget:
         place = Place.scaled(message.lat_int, message.lon_int, 0)
         if place is None or not (message.lat_int or message.lon_int):
             return ""
-        north, east, _ = home.to(place)
+        north, east, _ = home.vector_to(place)
         distance, height = math.hypot(north, east), message.alt - home.altitude
         if distance > self._radius + NEAR:
             return (

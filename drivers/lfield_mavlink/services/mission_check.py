@@ -287,7 +287,7 @@ class MissionCheck:
             raise self._error_for(number, item, f"the position of an item in frame {item.frame} is not known")
         if HERE in (item.x, item.y) or (not self._situation.px4 and not (item.x or item.y)):
             return None
-        north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
+        north, east, _ = home.vector_to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
         return north, east
 
     def _item_number(self, number: int) -> int:

@@ -59,7 +59,7 @@ class Item:
     parameters: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     @classmethod
-    def of(cls, message: Any) -> Item:
+    def from_message(cls, message: Any) -> Item:
         """The item in a MISSION_ITEM_INT."""
         values = (message.param1, message.param2, message.param3, message.param4)
         return cls(message.command, message.frame, message.x, message.y, message.z, values)

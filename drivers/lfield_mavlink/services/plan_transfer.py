@@ -139,7 +139,7 @@ class PlanTransfer:
     async def _item(self, kind: PlanKind, number: int) -> Item:
         ask = dialect.MAVLink_mission_request_int_message(self._peer.system, AUTOPILOT, number, int(kind))
         # More attempts within a download, since the vehicle does respond.
-        return Item.of(
+        return Item.from_message(
             await self._request(
                 kind, ask, lambda m: m.get_msgId() == _ITEM and m.seq == number, MAX_SILENCES_WITHIN
             )

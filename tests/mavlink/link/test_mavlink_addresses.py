@@ -279,10 +279,10 @@ def test_any_number_of_addresses_uses_bounded_memory():
 
 
 def test_board_is_identified_by_uid_and_firmware():
-    assert Board.of(version()).uid == ""
-    assert Board.of(version(uid=0x3F)).uid == "-3f"
-    assert Board.of(version(uid2=b"\2", uid=0x3F)).uid == "02-3f"
-    assert Board.of(version(firmware=1)) != Board.of(version(firmware=2))
+    assert Board.from_message(version()).uid == ""
+    assert Board.from_message(version(uid=0x3F)).uid == "-3f"
+    assert Board.from_message(version(uid2=b"\2", uid=0x3F)).uid == "02-3f"
+    assert Board.from_message(version(firmware=1)) != Board.from_message(version(firmware=2))
 
 
 def numbered(message, number):

@@ -414,7 +414,7 @@ async def test_cancelled_call_does_not_block_the_next_call(b, fc, /):
             await climb
     await fc.execute("goTo", [5.0, 0.0, -5.0])
     assert fc._expected == {}
-    assert fc.exchange._questions == {}
+    assert fc.exchange._pending == {}
 
 
 @on_bench("bench")

@@ -82,9 +82,9 @@ class Vehicle:
         kind, count, items = self.upload
         if message.seq != len(items):
             return [self.ack(13, kind)]
-        items.append(Item.of(message))
+        items.append(Item.from_message(message))
         if self.in_place:
-            self.plans[kind][message.seq : message.seq + 1] = [Item.of(message)]
+            self.plans[kind][message.seq : message.seq + 1] = [Item.from_message(message)]
         if len(items) < count:
             return [self.request()]
         self.plans[kind], self.upload = items[: self.keeps], None
