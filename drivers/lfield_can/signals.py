@@ -218,9 +218,11 @@ class CanSignals(Device):
                 if self._refused:
                     texts = "; ".join(f"{name}: {refusal}" for name, (_, refusal) in self._refused.items())
                     raise self.error(f"its messages are not used ({texts}); check 'counters' and 'checksums'")
-                others = self._unknown_ids()
+                unknown_ids = self._unknown_ids()
                 other_ids = (
-                    f" (other ids were received: {others}; are those of the file right?)" if others else ""
+                    f" (other ids were received: {unknown_ids}; are those of the file right?)"
+                    if unknown_ids
+                    else ""
                 )
                 raise self.error(
                     f"none of the messages of its DBC file was received at {self.binding.endpoint} within "

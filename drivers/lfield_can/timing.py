@@ -32,7 +32,7 @@ class ChangeNotifier:
             pass
 
     async def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Whether the condition became true within `bound` seconds."""
+        """Whether the condition became true within `timeout` seconds."""
         end = self._clock.monotonic() + timeout
         while not condition():
             remaining = end - self._clock.monotonic()
@@ -70,7 +70,7 @@ class PeriodicTask:
         self._period, self._action = 0.0, _nothing
 
     def start(self, period: float, action: Callable[[], None], *, duration: float = math.inf) -> None:
-        """Calls `action` every `period` seconds, for `lasts` seconds; ends the previous repetition."""
+        """Calls `action` every `period` seconds, for `duration` seconds; ends the previous repetition."""
         self._period, self._action = period, action
         self.resume(duration=duration)
 

@@ -325,8 +325,8 @@ class Members(Device):
             return rotation
         condition = self.conditions.get(number)
         if self.safe_state == "torque_off" and condition is not None and condition.torque:
-            # The servo was limp: another master on the bus has switched its torque on.
-            return "stiff again"
+            # Another master on the bus has switched the torque on.
+            return "torque on again"
         return ""
 
     async def release_torque(self, urgency: int) -> None:

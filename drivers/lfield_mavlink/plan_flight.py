@@ -78,7 +78,7 @@ class PlanFlight:
 
     async def _wait(self, last: int) -> None:
         """Returns when the mission with this last command is complete. Raises DeviceError."""
-        profile, started = self._vehicle.profile, self._vehicle.clock.monotonic()
+        profile, start = self._vehicle.profile, self._vehicle.clock.monotonic()
         modes = {profile.mission, *((profile.home, profile.land) if last == RETURN else ())}
         if profile.px4:
             # The vehicle leaves the mode when the mission is complete.
@@ -90,7 +90,7 @@ class PlanFlight:
         ends_on_ground = profile.flies and last in (RETURN, *LANDINGS)
 
         def is_complete() -> bool:
-            return self._missions.is_complete(started)
+            return self._missions.is_complete(start)
 
         while not (is_complete() and not (ends_on_ground and self._state.armed)):
             self._vehicle.check_link()
@@ -100,7 +100,7 @@ class PlanFlight:
                 and await self._vehicle.wait_for(is_complete, REPORTED)
             ):
                 return
-            await self._motion.check_underway("flyPlan", end if is_complete() else flight, started)
+            await self._motion.check_underway("flyPlan", end if is_complete() else flight, start)
             await self._vehicle.wait_message(PERIOD)
 
 

@@ -63,8 +63,8 @@ BOARD_REQUESTS, SECOND = 2, 0.2
 class LinkViews:
     """Data of the links of a vehicle.
 
-    `counts` returns the counters of their readers, `why_silent` a possible reason for silence, and `others`
-    another station that commands it, if known; `sources` are the addresses that it sends from.
+    `counts` returns the counters of their readers, `silence_reason` a possible reason for silence, and
+    `others` another station that commands it, if known; `sources` are the addresses that it sends from.
     """
 
     counts: Callable[[], LinkCounts] = LinkCounts

@@ -16,9 +16,9 @@ ACTIVE, WARNING, PASSIVE, OFF, UNKNOWN = "error active", "error warning", "error
 CLASSES: Mapping[int, str] = {
     0x001: "no answer before the timeout",
     0x002: "lost arbitration",
-    0x004: "controller trouble",
+    0x004: "controller problem",
     0x008: "protocol violation",
-    0x010: "transceiver trouble",
+    0x010: "transceiver problem",
     0x020: "no acknowledgement of a frame",
     0x040: OFF,
     0x080: "bus error",
@@ -86,7 +86,7 @@ class ErrorReport(NamedTuple):
 
 
 def linux_error(identifier: int, data: bytes) -> ErrorReport:
-    """An error frame of Linux, such as `controller trouble (send buffer full)`."""
+    """An error frame of Linux, such as `controller problem (send buffer full)`."""
     data = data.ljust(8, b"\0")
     details = {
         CONTROLLER_CLASS: [text for bit, (text, _) in CONTROLLER.items() if data[1] & bit],

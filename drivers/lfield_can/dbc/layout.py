@@ -189,8 +189,8 @@ class Message:
         kind = f"frame 0x{self.frame_id:X}"
         raw = self._raw(data)
         if len(data) < self.length:
-            absent = [s.name for s in self.signals if s.end > 8 * len(data) and _may_contain(s, raw)]
-            suffix = f": signal{'s' * (len(absent) != 1)} {', '.join(absent)} absent" if absent else ""
+            missing = [s.name for s in self.signals if s.end > 8 * len(data) and _may_contain(s, raw)]
+            suffix = f": signal{'s' * (len(missing) != 1)} {', '.join(missing)} absent" if missing else ""
             problems.append(f"{kind} has {_bytes(len(data))}, the file specifies {self.length}{suffix}")
         for signal in self.signals:
             if signal.is_multiplexer and signal.name in raw and not self._is_known(signal, raw[signal.name]):

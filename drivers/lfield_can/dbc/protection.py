@@ -75,7 +75,7 @@ class Protection:
         if count >= self._draft.values:
             return f"counter {counter.name} is {count}, beyond {self._draft.values - 1}"
         last, self._last = self._last, count
-        return f"counter {counter.name} stands still" if count == last else ""
+        return f"counter {counter.name} is not incremented" if count == last else ""
 
     def _checksum(self, data: bytes, counter: int) -> int:
         draft = self._draft

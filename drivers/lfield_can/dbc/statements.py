@@ -81,7 +81,7 @@ class Statement:
 
 
 def statements(source: Source, diagnostics: Diagnostics) -> Iterator[Statement]:
-    """All statements; other text is reported to `found`."""
+    """All statements; other text is reported to `diagnostics`."""
     text, at = source.text, 0
     while True:
         blank = _BLANK.match(text, at)

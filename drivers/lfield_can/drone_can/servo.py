@@ -55,8 +55,8 @@ class DroneCanServo(DroneCanDevice):
     def measured(self, values: Values) -> Mapping[str, object]:
         """The telemetry of a servo. Force is a torque; a load of 127 is unknown."""
         names = {"position": "position", "speed": "speed", "force": "torque"}
-        found = {name: values[key] for key, name in names.items() if key in values}
-        return {**found, **({"load": values["power"] / 100.0} if values["power"] <= 100 else {})}
+        telemetry = {name: values[key] for key, name in names.items() if key in values}
+        return {**telemetry, **({"load": values["power"] / 100.0} if values["power"] <= 100 else {})}
 
     async def on_recovery(self) -> None:
         """Commands the safe state: the motion of the servo during the loss is unknown."""
@@ -151,7 +151,7 @@ class DroneCanServo(DroneCanDevice):
         return position
 
     def _command(self, goal: float, duration: float) -> None:
-        """Sends a position now and every period, for `lasts` seconds."""
+        """Sends a position now and every period, for `duration` seconds."""
         self._goal = goal
         self._send()
         self._stream.start(self.binding.option("period"), self._send, duration=duration)

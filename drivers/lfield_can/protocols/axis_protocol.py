@@ -143,7 +143,7 @@ class AxisProtocol:
         raise NotImplementedError
 
     def is_safe(self, state: str, is_still: bool) -> bool:
-        """Whether the device reports that safe state; `still`: the axis does not turn."""
+        """Whether the device reports that safe state; `is_still`: the axis does not turn."""
         raise NotImplementedError
 
     async def poll(self) -> Mapping[str, object]:

@@ -224,7 +224,7 @@ class Contact(Device):
         return message_id in self._handlers
 
     async def expect(self, accepts: Callable[[Any], bool], timeout: float) -> Any | None:
-        """The next matching message for us; None after `bound` seconds.
+        """The next matching message for us; None after `timeout` seconds.
 
         Responses right after a `send` are not missed.
         """
@@ -326,7 +326,7 @@ class Contact(Device):
             raise self.error(f"{action} did not happen within {timeout:g} s{self.reasons(start)}")
 
     async def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Whether the condition became true within `bound` seconds; evaluated with every message."""
+        """Whether the condition became true within `timeout` seconds; evaluated with every message."""
         end = self.clock.monotonic() + timeout
         while not condition():
             remaining = end - self.clock.monotonic()

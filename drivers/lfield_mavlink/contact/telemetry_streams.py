@@ -142,10 +142,10 @@ class TelemetryStreams:
     def _required(self) -> list[int]:
         """The messages to request, of those that the autopilot supports."""
         profile = self._vehicle.profile
-        others = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
-        others |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
-        others |= frozenset() if profile.kind == "rover" else ONLY_ROVERS
-        return [kind for kind in self._rates if kind not in others]
+        unsupported = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
+        unsupported |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
+        unsupported |= frozenset() if profile.kind == "rover" else ONLY_ROVERS
+        return [kind for kind in self._rates if kind not in unsupported]
 
     def _missing(self) -> list[str]:
         received = {name for kind, names in SOURCES.items() if kind in self._last for name in names}

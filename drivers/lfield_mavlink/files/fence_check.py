@@ -90,7 +90,7 @@ class FenceCheck:
             if violation := self._leg_violation(leg):
                 start = f"item {leg.start.item}" if leg.start.item else "home"
                 yield FileFinding(
-                    "M106", f"the way from {start} to item {leg.end.item} {violation}", leg.end.item
+                    "M106", f"the leg from {start} to item {leg.end.item} {violation}", leg.end.item
                 )
 
     def position_violation(self, position: tuple[float, float]) -> str:

@@ -78,7 +78,7 @@ class PlanFile:
         """
         first = self.items[0].number if self.items else 1
         shift = first - (0 if px4 else 1)
-        items = [_renumbered(each.item, shift) for each in self.items]
+        items = [_renumbered(numbered.item, shift) for numbered in self.items]
         return items if px4 else [_without_nan(item) for item in items]
 
 

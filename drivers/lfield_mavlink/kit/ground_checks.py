@@ -179,7 +179,7 @@ async def payload(bench: Bench) -> str:
             is_timeout = error.kind == "DeviceTimeoutException"
             if is_timeout and not bench.identity.startswith("PX4"):
                 raise
-            outcomes.append(f"{instruction} {'not there' if is_timeout else 'refused'}")
+            outcomes.append(f"{instruction} {'missing' if is_timeout else 'refused'}")
     # The vehicle itself still responds.
     bench.query("mode")
     return ", ".join(outcomes)

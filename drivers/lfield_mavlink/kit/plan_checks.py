@@ -143,7 +143,7 @@ async def _restore(bench: Bench, plan: StoredPlan, previous: list[float]) -> Non
             await bench.call(plan.clear)
     except DeviceError as error:
         subject = f"its {len(previous) // 3} {plan.points} were" if previous else "its empty plan was"
-        raise CheckFailed(f"{subject} not given back: {error.reason}") from error
+        raise CheckFailed(f"{subject} not restored: {error.reason}") from error
 
 
 async def _switches(bench: Bench) -> dict[str, float]:

@@ -96,25 +96,25 @@ def parse_endpoint(endpoint: str) -> list[tuple[str, str, int]]:
     return [_parsed(link) for link in split_endpoint(endpoint)]
 
 
-def _parsed(written: str) -> tuple[str, str, int]:
-    link = _from_url(written)
+def _parsed(text: str) -> tuple[str, str, int]:
+    link = _from_url(text)
     kind, _, rest = link.partition(":")
     place, _, number = rest.rpartition(":")
     if kind not in ("udp", "udpin", "tcp", "serial") or not place:
-        raise DeviceError("endpoint", f"'{written}' is not an endpoint; write {SYNTAX}")
+        raise DeviceError("endpoint", f"'{text}' is not an endpoint; write {SYNTAX}")
     if kind == "serial":
         return kind, *parse_serial_endpoint(link)
     if not (number.isascii() and number.isdecimal() and 0 < int(number[:6]) < 65536):
-        raise DeviceError("endpoint", f"'{written}': the port '{number}' is not a number from 1 to 65535")
+        raise DeviceError("endpoint", f"'{text}': the port '{number}' is not a number from 1 to 65535")
     if not is_host(unbracketed(place)):
-        raise DeviceError("endpoint", f"'{written}': '{place}' is neither a host name nor an address")
+        raise DeviceError("endpoint", f"'{text}': '{place}' is neither a host name nor an address")
     return kind, unbracketed(place), int(number)
 
 
 def _from_url(link: str) -> str:
     """The endpoint in lfield's form of one in MAVSDK's; raises DeviceError where that is ambiguous."""
-    scheme, mark, rest = link.partition("://")
-    if not mark:
+    scheme, separator, rest = link.partition("://")
+    if not separator:
         return link
     if scheme == "udp" and rest.startswith(":"):
         return f"udpin:0.0.0.0{rest}"

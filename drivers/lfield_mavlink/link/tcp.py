@@ -103,7 +103,7 @@ class TcpLink:
 
 
 class _Connection(asyncio.Protocol):
-    """One connection; `where` is the address of its peer."""
+    """One connection; `address` is that of its peer."""
 
     def __init__(self, on_data: OnData) -> None:
         self._on_data = on_data

@@ -117,11 +117,11 @@ class UdpLink:
             if self._has_received:
                 self._events.log(self._attempts.lost(f"no data for {SILENT:g} s", loop.time()))
             try:
-                where = await self._connect()
+                address = await self._connect()
             except OSError as error:
                 self._events.log(self._attempts.failed(reason_of(error), loop.time()))
             else:
-                self._events.log(self._attempts.opened(f"it sends to {where}", loop.time()))
+                self._events.log(self._attempts.opened(f"it sends to {address}", loop.time()))
 
     def _on_datagram(self, _: socket.socket, data: bytes, __: Address) -> None:
         """Handles a packet from the vehicle."""
@@ -180,7 +180,7 @@ class UdpListener:
         self._sockets = _Sockets(self._on_datagram, lambda: None)
         self._task: asyncio.Task[None] | None = None
         self._bound: dict[tuple[int, Address], socket.socket] = {}
-        #: Addresses of its name that could not be bound, retried every AGAIN s.
+        #: Addresses of its name that could not be bound, retried every RETRY_INTERVAL s.
         self._unbound: list[tuple[int, Address]] = []
         self._last_activity = 0.0
         self._peers: dict[str, tuple[socket.socket, Address]] = {}

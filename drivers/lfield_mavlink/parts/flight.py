@@ -28,7 +28,7 @@ HEARTBEAT_WAIT = 2.5
 MOTORS_OFF_TIMEOUT = 6.0
 DELAY_OFF = "COM_DISARM_LAND"
 #: For a landing, which may end below home, and for a return, which may hover above it for a while.
-LANDING_PATIENCE = ProgressPatience(message="it has come no lower for {seconds:g} s, and is not at rest")
+LANDING_PATIENCE = ProgressPatience(message="it has not descended for {seconds:g} s, and is not at rest")
 RETURN_PATIENCE = ProgressPatience(60.0, message="it has not moved for {seconds:g} s, and is not at rest")
 #: Modes that fly a part of the mission, in addition to the mission mode.
 BY_MISSION = ("AUTO_RTL",)

@@ -31,8 +31,8 @@ TURN_IN_PLACE_PATIENCE = ProgressPatience(
 TURN_CLEARANCE = 5.0
 LOOP_PATIENCE = ProgressPatience(
     4.0, 0.05, clearance=TURN_CLEARANCE,
-    message="driving round it came no closer to its heading for {seconds:g} s, or {clearance:g} m away, "
-            "and is {left:.2f} rad off; give it more room by goTo",
+    message="driving round, it did not turn towards its heading for {seconds:g} s, or moved {clearance:g} m "
+            "away, and is {left:.2f} rad off; use goTo to reach a position with more free space",
 )  # fmt: skip
 #: Metres ahead of a vehicle that does not follow a velocity, where its own fence is checked.
 AHEAD = 5.0

@@ -180,7 +180,7 @@ class Motion:
         *values: float,
         is_done: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Enters a mode by a command, unless it is `done`. Raises DeviceError."""
+        """Enters a mode by a command, unless `is_done` returns True. Raises DeviceError."""
         self.hover.end()
         self.monitor.on_mode(mode)
         # Set before success is known: a repeated safe state is ours, and so is a mode that is not left.
@@ -324,7 +324,7 @@ class Motion:
                 seconds = patience.bound(self.is_moving, self.speed.motion_speed)
                 text = patience.message.format(seconds=seconds, left=remaining, clearance=patience.clearance)
                 fence = await self.fence.zones_hint() if order.goal is not None else ""
-                raise vehicle.error(f"{action} gave up: {text}{fence}")
+                raise vehicle.error(f"{action} failed: {text}{fence}")
             if not is_checked and self._is_refused(order, progress, now):
                 is_checked = True
                 await self._check_fence(action, order)

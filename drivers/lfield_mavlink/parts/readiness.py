@@ -144,7 +144,7 @@ def missing_condition(state: VehicleState, since: float, *, px4: bool) -> str:
     is_checked = px4 or bool(sensors.present & sensors.enabled & PREARM)
     if is_checked and not sensors.healthy & PREARM:
         unhealthy = ", ".join(sensors.unhealthy)
-        return FAILED + (f"; not well: {unhealthy}" if unhealthy else "")
+        return FAILED + (f"; unhealthy: {unhealthy}" if unhealthy else "")
     if state.placed_at < since:
         return "its position is unknown"
     return ""

@@ -77,7 +77,7 @@ class Actuators:
             remaining: float = abs(report.line_length - goal)
             if progress.is_over(remaining, False, clock.monotonic(), speed):
                 problem = patience.message.format(seconds=patience.bound(False, speed), left=remaining)
-                raise self._vehicle.error(f"winch gave up: {problem}")
+                raise self._vehicle.error(f"winch failed: {problem}")
             return remaining <= LINE_TOLERANCE
 
         await self._reports.confirm("winch", WINCH, is_out, 2.0 * LONGEST_WINDING)

@@ -264,18 +264,18 @@ class FileTransfer:
         )
 
     async def _find(self, accepts: Callable[[Packet], bool]) -> Packet | None:
-        """The next matching answer; None after PATIENCE."""
-        found: list[Packet] = []
+        """The next matching answer; None after ANSWER_TIMEOUT."""
+        packets: list[Packet] = []
 
         def matches(message: Any) -> bool:
             packet = decode(message.payload)
             if packet is None or packet.opcode not in (Opcode.ACK, Opcode.NAK) or not accepts(packet):
                 return False
-            found.append(packet)
+            packets.append(packet)
             return True
 
         await self._mail.find(matches, ANSWER_TIMEOUT)
-        return found[0] if found else None
+        return packets[0] if packets else None
 
 
 class Pieces:

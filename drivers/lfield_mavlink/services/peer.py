@@ -50,11 +50,11 @@ class Mail:
             self._messages.put_nowait(message)
 
     async def next(self, timeout: float) -> Any | None:
-        """The next message; None after `bound` seconds. Raises DeviceError."""
+        """The next message; None after `timeout` seconds. Raises DeviceError."""
         return await self.find(lambda _: True, timeout)
 
     async def find(self, accepts: Callable[[Any], bool], timeout: float) -> Any | None:
-        """The next matching message, others are dropped; None after `bound` seconds.
+        """The next matching message, others are dropped; None after `timeout` seconds.
 
         Raises DeviceError as soon as the link is lost.
         """

@@ -101,11 +101,11 @@ def test_standard_and_extended_ids_have_different_keys():
             linux_error,
             0x004,
             "0022",
-            "controller trouble (send buffer full, error passive by send errors)",
+            "controller problem (send buffer full, error passive by send errors)",
             PASSIVE,
         ),
-        (linux_error, 0x004, "0008", "controller trouble (many send errors)", WARNING),
-        (linux_error, 0x004, "0040", "controller trouble (error active again)", ACTIVE),
+        (linux_error, 0x004, "0008", "controller problem (many send errors)", WARNING),
+        (linux_error, 0x004, "0040", "controller problem (error active again)", ACTIVE),
         (linux_error, 0x028, "", "protocol violation, no acknowledgement of a frame", ""),
         (
             linux_error,
@@ -115,7 +115,7 @@ def test_standard_and_extended_ids_have_different_keys():
             "counted: 143 sending, 3 receiving",
             "",
         ),
-        (linux_error, 0x010, "0000000070", "transceiver trouble (CAN-L shorted to ground)", ""),
+        (linux_error, 0x010, "0000000070", "transceiver problem (CAN-L shorted to ground)", ""),
         (linux_error, 0x100, "", "controller restarted", ACTIVE),
         (linux_error, 0, "", "an error of unknown class", ""),
         (

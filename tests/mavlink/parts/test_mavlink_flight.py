@@ -242,7 +242,7 @@ def test_accepted_command_without_effect_is_an_error(bench, monkeypatch):
 async def test_motion_without_progress_is_given_up(b, fc, /):
     await up(fc)
     b.autopilot.pace.own = lambda: 0.0
-    with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
+    with pytest.raises(DeviceError, match="goTo failed: no progress for 10 s, 30"):
         await fc.execute("goTo", [30.0, 0.0, -5.0])
     # It does not start later when the obstruction is gone.
     place = b.autopilot.vehicle.place

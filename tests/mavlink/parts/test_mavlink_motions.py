@@ -135,7 +135,7 @@ async def test_standing_slow_vehicle_is_given_up(b, fc, /):
     await asyncio.sleep(5.0)
     b.autopilot.pace.change(0.001)
     start = asyncio.get_running_loop().time()
-    with pytest.raises(DeviceError, match=r"goTo gave up: no progress for 10 s, 8\.\d m from its goal"):
+    with pytest.raises(DeviceError, match=r"goTo failed: no progress for 10 s, 8\.\d m from its goal"):
         await flight
     assert asyncio.get_running_loop().time() - start < 12.0
 
