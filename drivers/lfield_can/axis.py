@@ -38,24 +38,18 @@ class CanAxis(Device):
     largest = 1e12
 
     def __init__(
-        self,
-        binding: DeviceBinding,
-        manifest: Manifest,
-        clock: Clock,
-        reports: Reports,
-        bus: Bus,
-        sync: Sync,
+        self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports, bus: Bus, sync: Sync
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self._changes = ChangeNotifier(clock)
-        wiring = ProtocolContext(binding, bus, sync, clock, self._changes, self.note, self.error)
-        self.protocol = PROTOCOLS[binding.option("protocol")](wiring)
+        context = ProtocolContext(binding, bus, sync, clock, self._changes, self.note, self.error)
+        self.protocol = PROTOCOLS[binding.option("protocol")](context)
         self._overheard = self.protocol.overheard()
         self.malformed = 0
         self._last_contact: float | None = None
         self._last_velocity: float | None = None
-        self._lost = self._quiet = self._found = self._opened = False
-        self._polled = 0.0
+        self._lost = self._is_quiet = self._was_found = self._opened = False
+        self._polled_at = 0.0
         self._reported_conflict = ""
 
     # -- frames and contact -----------------------------------------------------------------------------
@@ -88,10 +82,10 @@ class CanAxis(Device):
             self.publish(**values)
         self._changes.notify()
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops everything that feeds the device's watchdog (False: starts it again)."""
-        self._quiet = on
-        self.protocol.quiet(on)
+        self._is_quiet = is_quiet
+        self.protocol.set_quiet(is_quiet)
 
     def close(self) -> None:
         """Ends the protocol when the driver ends."""
@@ -114,12 +108,12 @@ class CanAxis(Device):
                 await asyncio.sleep(POLL_INTERVAL)
 
     async def _check_presence(self) -> None:
-        silent = self._silence() > self.protocol.silence
-        self.publish(online=not silent)
-        if silent != self._lost:
-            self._lost = silent
-            self.note((log_messages.SILENT if silent else log_messages.RESPONDING).line())
-            if silent:
+        is_silent = self._silence() > self.protocol.silence
+        self.publish(online=not is_silent)
+        if is_silent != self._lost:
+            self._lost = is_silent
+            self.note((log_messages.SILENT if is_silent else log_messages.RESPONDING).line())
+            if is_silent:
                 self.protocol.on_silence()
                 self.publish(enabled=False, state=self.protocol.state.state)
                 self._changes.notify()
@@ -127,15 +121,15 @@ class CanAxis(Device):
                 # The motion of the device during the loss is unknown: stop it.
                 await self.make_safe()
         await self._check_id_conflict()
-        if self.protocol.state.enabled and self._runs_out:
+        if self.protocol.state.enabled and self._leaves_bounds:
             self.note(log_messages.LEAVING_BOUNDS.line())
             await self._make_safe("brake")
-        if silent or self._quiet:
+        if is_silent or self._is_quiet:
             return
         if self.protocol.needs_setup:
             await self._set_up_again()
-        if self.clock.monotonic() - self._polled >= POLL_INTERVAL:
-            self._polled = self.clock.monotonic()
+        if self.clock.monotonic() - self._polled_at >= POLL_INTERVAL:
+            self._polled_at = self.clock.monotonic()
             self.publish(**await self.protocol.poll())
 
     async def _set_up_again(self) -> None:
@@ -164,7 +158,7 @@ class CanAxis(Device):
 
     async def _open(self) -> str:
         await self._find()
-        self._found = True
+        self._was_found = True
         identity = await self.protocol.setup()
         self.publish(online=True)
         self._opened = True
@@ -172,23 +166,23 @@ class CanAxis(Device):
 
     def _touched(self) -> bool:
         """Whether the device was found and so set up; before its first message it is only queried."""
-        return self._found
+        return self._was_found
 
     async def _serial(self) -> str:
         return await self.protocol.serial()
 
     async def _find(self) -> None:
         """Waits for the first message of the device."""
-        patience: float = self.binding.option("connect")
-        end = self.clock.monotonic() + patience
+        timeout: float = self.binding.option("connect")
+        end = self.clock.monotonic() + timeout
         while self.clock.monotonic() < end:
             self.protocol.call()
             if await self._changes.wait_for(
-                lambda: self._last_contact is not None, min(PROBE_INTERVAL, patience)
+                lambda: self._last_contact is not None, min(PROBE_INTERVAL, timeout)
             ):
                 return
         raise self.error(
-            f"no message from node {self.protocol.node} at {self.binding.endpoint} within {patience:g} s; "
+            f"no message from node {self.protocol.node} at {self.binding.endpoint} within {timeout:g} s; "
             "check its power, wires and terminators, the bit rate, and the id in its binding",
             timeout=True,
         )
@@ -203,7 +197,7 @@ class CanAxis(Device):
 
         def is_safe() -> bool:
             has_contact = self._last_contact is not None and self._last_contact > start
-            return has_contact and self.protocol.is_safe(state, self._still)
+            return has_contact and self.protocol.is_safe(state, self._is_still)
 
         while True:
             await self.protocol.command_safe(state)
@@ -221,14 +215,14 @@ class CanAxis(Device):
 
     def _moving(self) -> str:
         silence, velocity = self._silence(), self._last_velocity
-        known = "its speed is unknown" if velocity is None else f"turning at {abs(velocity):.2g} rad/s"
+        motion = "its speed is unknown" if velocity is None else f"turning at {abs(velocity):.2g} rad/s"
         if silence > self.protocol.silence:
-            last = f", last seen {known}" if velocity is not None else ""
+            last_motion = f", last seen {motion}" if velocity is not None else ""
             if self._last_contact is None:
                 return "no message yet"
-            return f"no message for {silence:.1f} s{last}"
-        if not self._still:
-            return known
+            return f"no message for {silence:.1f} s{last_motion}"
+        if not self._is_still:
+            return motion
         if not self.protocol.is_safe(self.safe_state, True):
             # Another master on the bus has moved it out of its safe state.
             return f"no longer in {self.safe_state} ({self._state_text()})"
@@ -237,15 +231,15 @@ class CanAxis(Device):
     # -- state ------------------------------------------------------------------------------------------
 
     @property
-    def _still(self) -> bool:
+    def _is_still(self) -> bool:
         velocity = self.protocol.state.velocity
         return velocity is not None and abs(velocity) <= self.binding.option("standstill")
 
     @property
-    def _runs_out(self) -> bool:
+    def _leaves_bounds(self) -> bool:
         """Whether the axis is outside its bounds and moves farther out, as a velocity may cause."""
         position, velocity = self.protocol.state.position, self.protocol.state.velocity
-        if position is None or velocity is None or self._still:
+        if position is None or velocity is None or self._is_still:
             return False
         margin = self.binding.option("tolerance")
         below = position < self.binding.option("lowest") - margin and velocity < 0.0
@@ -264,9 +258,9 @@ class CanAxis(Device):
             # Report it before the periodic check does: the caller reads the state.
             self.protocol.on_silence()
             self.publish(online=False, enabled=False, state=self.protocol.state.state)
-            cause = self.protocol.bus.trouble
-            why = f" ({cause})" if cause else ""
-            raise self.error(f"no message for {self._silence():.1f} s{why}", timeout=True)
+            cause = self.protocol.bus.problem_text
+            cause_text = f" ({cause})" if cause else ""
+            raise self.error(f"no message for {self._silence():.1f} s{cause_text}", timeout=True)
 
     # -- instructions -----------------------------------------------------------------------------------
 
@@ -280,7 +274,7 @@ class CanAxis(Device):
         await self.protocol.disable()
 
     async def do_reset_fault(self) -> None:
-        """Clears faults."""
+        """Clears the faults of the device."""
         self._check_set_up("resetFault")
         await self.protocol.reset_fault()
 
@@ -296,7 +290,7 @@ class CanAxis(Device):
         # An earlier velocity may be outdated.
         self.protocol.state.velocity = None
         await self.protocol.start_halt()
-        if not await self._changes.wait_for(lambda: self._still, HALT_TIMEOUT):
+        if not await self._changes.wait_for(lambda: self._is_still, HALT_TIMEOUT):
             raise self.error(f"halt: it is still moving after {HALT_TIMEOUT:g} s ({self._state_text()})")
         await self.protocol.end_halt()
 
@@ -340,59 +334,65 @@ class CanAxis(Device):
 
     async def _travel(self, goal: float) -> None:
         """Waits until the axis is at rest at its goal, as long as it makes progress."""
-        near: float = self.binding.option("tolerance")
+        tolerance: float = self.binding.option("tolerance")
         progress = MoveProgress(self.clock, STUCK_TIME, MIN_PROGRESS)
         while True:
             self._check_ready("moveTo")
             position = self.protocol.state.position
-            left = abs(goal - position) if position is not None else math.inf
-            if left <= near and self._still:
+            distance = abs(goal - position) if position is not None else math.inf
+            if distance <= tolerance and self._is_still:
                 return
-            if failure := progress.failure(left):
+            if failure := progress.failure(distance):
                 await self.do_halt()  # Without it the motion continues when the obstacle is gone.
                 raise self.error(failure)
             await self._changes.wait_change(WATCH_INTERVAL)
 
-    def _check_set_up(self, what: str) -> None:
+    def _check_set_up(self, instruction: str) -> None:
         self._check_contact()
         if self.protocol.conflict:
-            raise self.error(f"{what} refused: {self.protocol.conflict}")
+            raise self.error(f"{instruction} refused: {self.protocol.conflict}")
         if self.protocol.needs_setup:
-            raise self.error(f"{what} refused: the device has restarted and is being set up again")
+            raise self.error(f"{instruction} refused: the device has restarted and is being set up again")
 
-    def _check_ready(self, what: str) -> None:
+    def _check_ready(self, instruction: str) -> None:
         """Raises DeviceError unless the device is enabled."""
-        self._check_set_up(what)
+        self._check_set_up(instruction)
         state = self.protocol.state
         if state.fault:
-            raise self.error(f"{what} refused: {state.fault}; resetFault() clears it")
+            raise self.error(f"{instruction} refused: {state.fault}; resetFault() clears it")
         if not state.enabled:
-            raise self.error(f"{what} refused: it is not enabled ({state.state}); call enable() first")
+            raise self.error(f"{instruction} refused: it is not enabled ({state.state}); call enable() first")
 
-    def _check_within(self, what: str, limit: str, value: float, unit: str) -> None:
+    def _check_within(self, instruction: str, limit: str, value: float, unit: str) -> None:
         bound = self.binding.limits.get(limit, math.inf)
         if not math.isfinite(value):
-            raise self.error(f"{what} requires a finite number, not {value}")
+            raise self.error(f"{instruction} requires a finite number, not {value}")
         if abs(value) > bound * ROUNDING:
-            raise self.error(f"{what} refused: {value:g} {unit} is above the limit of {bound:g} {unit}")
+            raise self.error(
+                f"{instruction} refused: {value:g} {unit} is above the limit of {bound:g} {unit}"
+            )
 
-    def _check_position(self, what: str, position: float) -> None:
+    def _check_position(self, instruction: str, position: float) -> None:
         lowest, highest = self.binding.option("lowest"), self.binding.option("highest")
         if not math.isfinite(position):
-            raise self.error(f"{what} requires a finite number, not {position}")
+            raise self.error(f"{instruction} requires a finite number, not {position}")
         if not lowest - ROUNDING_POSITION <= position <= highest + ROUNDING_POSITION:
-            raise self.error(f"{what} refused: {position:g} rad is outside {lowest:g} to {highest:g} rad")
+            raise self.error(
+                f"{instruction} refused: {position:g} rad is outside {lowest:g} to {highest:g} rad"
+            )
         if not self.protocol.state.referenced and not self.binding.waives("no_homing"):
             raise self.error(
-                f"{what} refused: it has not been homed; call home() first, or accept that by "
+                f"{instruction} refused: it has not been homed; call home() first, or accept that by "
                 "'waivers: [no_homing]' in its binding"
             )
 
-    def _check_outward(self, what: str, direction: float) -> None:
+    def _check_outward(self, instruction: str, direction: float) -> None:
         """Beyond a bound, permits only motion back."""
         position = self.protocol.state.position
         if position is None:
             return
         below = position < self.binding.option("lowest") and direction < 0.0
         if below or (position > self.binding.option("highest") and direction > 0.0):
-            raise self.error(f"{what} refused: at {position:g} rad it would move farther out of its bounds")
+            raise self.error(
+                f"{instruction} refused: at {position:g} rad it would move farther out of its bounds"
+            )

@@ -29,7 +29,7 @@ def cycles(file: DbcFile, texts: Sequence[str], commands: Sequence[str]) -> dict
 
     Raises DbcError.
     """
-    found = {}
+    periods = {}
     for text in texts:
         match = _CYCLE.fullmatch(text)
         if match is None:
@@ -45,8 +45,8 @@ def cycles(file: DbcFile, texts: Sequence[str], commands: Sequence[str]) -> dict
             raise DbcError(f"the file gives no GenMsgCycleTime for {name}; write its period: {name}=0.02")
         if not SHORTEST <= period <= LONGEST:
             raise DbcError(f"the period of {name} is {SHORTEST:g} to {LONGEST:g} s, not {period:g} s")
-        found[name] = period
-    return found
+        periods[name] = period
+    return periods
 
 
 class CommandStream:
@@ -113,11 +113,11 @@ class CommandStream:
         await self._bus.send(self._frame(message, self._safe[message]))
         self._start(message)
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops the cyclic frames; they feed the device's own supervision. False: starts them again."""
-        self._is_quiet = on
+        self._is_quiet = is_quiet
         for name in self._streaming:
-            if on:
+            if is_quiet:
                 self._tasks[name].stop()
             else:
                 self._tasks[name].resume()

@@ -65,18 +65,18 @@ class CanDriver(Driver):
         self._sync = Sync(self.clock, self._bus.post, EVERY)
         self._members: list[CanDevice] = []
         #: One frame of each id that no device receives.
-        self._unknown: dict[int, Frame] = {}
+        self._unknown_frames: dict[int, Frame] = {}
         self._listeners: dict[int, list[CanDevice]] = {}
 
     def _device(self, binding: DeviceBinding) -> CanDevice:
-        given = binding, self.manifests[binding.type], self.clock, self.reports
+        arguments = binding, self.manifests[binding.type], self.clock, self.reports
         device: CanDevice
         if binding.type == "CanAxis":
-            device = CanAxis(*given, self._bus, self._sync)
+            device = CanAxis(*arguments, self._bus, self._sync)
         elif binding.type == "CanSignals":
-            device = CanSignals(*given, self._bus, self._unknown_ids)
+            device = CanSignals(*arguments, self._bus, self._unknown_ids)
         else:
-            device = NODES[binding.type](*given, self._drone_can)
+            device = NODES[binding.type](*arguments, self._drone_can)
         self._members.append(device)
         return device
 
@@ -92,8 +92,10 @@ class CanDriver(Driver):
                 if other is not device:
                     names = f"{device.binding.name} and {other.binding.name}"
                     frames = f"frames (id 0x{key & 0x1FFFFFFF:X})"
-                    what = frames if key < ACTUATOR else f"actuator 'index' ({key - ACTUATOR})"
-                    raise device.error(f"{names} have the same {what}; give each device on the bus its own")
+                    resource = frames if key < ACTUATOR else f"actuator 'index' ({key - ACTUATOR})"
+                    raise device.error(
+                        f"{names} have the same {resource}; give each device on the bus its own"
+                    )
         await self._bus.open()
         self._drone_can.start()
         for device in self._members:
@@ -107,13 +109,13 @@ class CanDriver(Driver):
 
     def _quiet(self) -> None:
         for device in self._members:
-            device.quiet(True)
-        self._drone_can.quiet(True)
+            device.set_quiet(True)
+        self._drone_can.set_quiet(True)
 
     def _resume(self) -> None:
         for device in self._members:
-            device.quiet(False)
-        self._drone_can.quiet(False)
+            device.set_quiet(False)
+        self._drone_can.set_quiet(False)
 
     def _received(self, frame: Frame) -> None:
         devices = self._listeners.get(frame.key)
@@ -121,14 +123,14 @@ class CanDriver(Driver):
             devices = self._listeners.get(group_of(frame.id))
         if devices is None and frame.extended:
             self._drone_can.on_frame(frame)
-        if devices is None and len(self._unknown) < MAX_UNKNOWN_IDS:
-            self._unknown[frame.key] = frame
+        if devices is None and len(self._unknown_frames) < MAX_UNKNOWN_IDS:
+            self._unknown_frames[frame.key] = frame
         for device in devices or ():
             device.on_frame(frame)
 
     def _unknown_ids(self) -> str:
         """The unknown ids on the bus; '' for none."""
-        ids = [f"0x{frame.id:X}{' (29 bits)' * frame.extended}" for frame in self._unknown.values()]
+        ids = [f"0x{frame.id:X}{' (29 bits)' * frame.extended}" for frame in self._unknown_frames.values()]
         return ", ".join(ids[:SHOWN_UNKNOWN_IDS]) + (", ..." if len(ids) > SHOWN_UNKNOWN_IDS else "")
 
 
@@ -149,6 +151,6 @@ def mistakes_in(option: str, file: str) -> Sequence[Diagnostic]:
             return error.findings
         raise DeviceError(option, str(error)) from None
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise DeviceError(option, f"{file} cannot be read: {why}") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise DeviceError(option, f"{file} cannot be read: {reason}") from None
     return ()

@@ -19,7 +19,7 @@ SET_UP_AGAIN = LogMessage("can-set-up-again", "restarted and set up again; not e
 LEAVING_BOUNDS = LogMessage("can-leaving-bounds", "stopped: the axis moved out of its bounds", "error")
 EMERGENCY = LogMessage("can-emergency", "emergency message: {reason}", "error")
 TORQUE_GAP = LogMessage(
-    "can-torque-gap", "torque off for a moment: the drive cannot be enabled from a quick stop", "warning"
+    "can-torque-gap", "torque off briefly: the drive cannot be enabled from a quick stop", "warning"
 )
 LIMIT_BY_DRIVER = LogMessage("can-limit-by-driver", "limit enforced by this driver only: {reason}")
 COASTS = LogMessage("can-coasts", "coasts after a fault: object 0x605E (fault reaction) is 0", "warning")
@@ -64,10 +64,10 @@ NOTHING_RECEIVED = LogMessage("can-nothing-received", "no message received: waiv
 
 # --- DroneCAN -------------------------------------------------------------------------------------------
 
-NODE_ID_GIVEN = LogMessage("can-node-id-given", "node id {node} given to the unique id {unique_id}")
+NODE_ID_GIVEN = LogMessage("can-node-id-given", "node id {node} assigned to the unique id {unique_id}")
 OTHER_ALLOCATOR = LogMessage(
     "can-other-allocator",
-    "no more node ids given: node {node} is an allocator too; remove 'unique_id' from the "
+    "no more node ids assigned: node {node} is an allocator too; remove 'unique_id' from the "
     "bindings, or remove that node",
     "warning",
 )

@@ -139,7 +139,7 @@ class CanSignals(Device):
             return False
         source, now = frame.id & 0xFF, self.clock.monotonic()
         first, at = self._sources.get(name, (source, now))
-        if source == first or now - at > self._patience:
+        if source == first or now - at > self._max_age:
             self._sources[name] = source, now
             return False
         if (name, source) not in self._other_sources:
@@ -163,15 +163,15 @@ class CanSignals(Device):
             await asyncio.sleep(WATCH_INTERVAL)
             if not self._opened:
                 continue
-            silent = self._silence() > self._patience
-            self.publish(online=not silent, malformed=self._malformed, overruns=self._stream.overruns)
-            self._check_accepted(silent)
+            is_silent = self._silence() > self._max_age
+            self.publish(online=not is_silent, malformed=self._malformed, overruns=self._stream.overruns)
+            self._check_accepted(is_silent)
             self._log_overruns()
-            if silent == self._lost:
+            if is_silent == self._lost:
                 continue
-            self._lost = silent
-            self.note((log_messages.SILENT if silent else log_messages.RESPONDING).line())
-            if not silent:
+            self._lost = is_silent
+            self.note((log_messages.SILENT if is_silent else log_messages.RESPONDING).line())
+            if not is_silent:
                 await self._on_recovered()
 
     async def _on_recovered(self) -> None:
@@ -181,19 +181,19 @@ class CanSignals(Device):
         except DeviceError as error:
             self.note(log_messages.NOT_SAFE.line(reason=error.reason))
 
-    def _check_accepted(self, silent: bool) -> None:
+    def _check_accepted(self, is_silent: bool) -> None:
         """Makes a device safe that refuses its cyclic commands, such as their counters, for `max_age`."""
         now = self.clock.monotonic()
-        wrong = (
-            self._mismatches(self._accepted, -math.inf) if self._stream.is_streaming and not silent else []
+        mismatches = (
+            self._mismatches(self._accepted, -math.inf) if self._stream.is_streaming and not is_silent else []
         )
-        if not wrong:
+        if not mismatches:
             self._refused_since = None
         elif self._refused_since is None:
             self._refused_since = now
-        elif now - self._refused_since > self._patience:
+        elif now - self._refused_since > self._max_age:
             self._refused_since = None
-            self.breach(f"its commands are not accepted: {', '.join(wrong)}")
+            self.breach(f"its commands are not accepted: {', '.join(mismatches)}")
 
     def _log_overruns(self) -> None:
         count, now = self._stream.overruns, self.clock.monotonic()
@@ -201,9 +201,9 @@ class CanSignals(Device):
             self.note(log_messages.CYCLE_OVERRUN.line(count=count - self._overruns_logged))
             self._overruns_logged, self._overruns_at = count, now
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops cyclic commands; then only messages that the program sets are sent."""
-        self._stream.quiet(on)
+        self._stream.set_quiet(is_quiet)
 
     def close(self) -> None:
         """Stops the cyclic commands when the driver ends."""
@@ -212,23 +212,25 @@ class CanSignals(Device):
     # -- opening and safe state -------------------------------------------------------------------------
 
     async def _open(self) -> str:
-        patience: float = self.binding.option("connect")
-        if not await self._changes.wait_for(lambda: bool(self._received), patience):
+        timeout: float = self.binding.option("connect")
+        if not await self._changes.wait_for(lambda: bool(self._received), timeout):
             if not self.binding.waives(NO_CONFIRMATION):
                 if self._refused:
-                    texts = "; ".join(f"{name}: {why}" for name, (_, why) in self._refused.items())
+                    texts = "; ".join(f"{name}: {refusal}" for name, (_, refusal) in self._refused.items())
                     raise self.error(f"its messages are not used ({texts}); check 'counters' and 'checksums'")
-                others = self._unknown_ids()
+                unknown_ids = self._unknown_ids()
                 other_ids = (
-                    f" (other ids were received: {others}; are those of the file right?)" if others else ""
+                    f" (other ids were received: {unknown_ids}; are those of the file right?)"
+                    if unknown_ids
+                    else ""
                 )
                 raise self.error(
                     f"none of the messages of its DBC file was received at {self.binding.endpoint} within "
-                    f"{patience:g} s{other_ids}; check its power, the wires, the bit rate and the file",
+                    f"{timeout:g} s{other_ids}; check its power, the wires, the bit rate and the file",
                     timeout=True,
                 )
             self.note(log_messages.NOTHING_RECEIVED.line())
-        self.publish(online=self._silence() <= self._patience, malformed=self._malformed, overruns=0)
+        self.publish(online=self._silence() <= self._max_age, malformed=self._malformed, overruns=0)
         self._opened = True
         received = sorted(name for name in self._received if "." not in name)
         return f"DBC device, received {', '.join(received) or 'nothing'}"
@@ -259,19 +261,19 @@ class CanSignals(Device):
         return at > since and abs(values[term.signal] - term.value) <= term.within
 
     def _failure_text(self) -> str:
-        wrong = self._mismatches(self._confirm, self.clock.monotonic() - self._patience)
-        return ", ".join(wrong) or "its confirming messages came too rarely"
+        mismatches = self._mismatches(self._confirm, self.clock.monotonic() - self._max_age)
+        return ", ".join(mismatches) or "its confirming messages came too rarely"
 
     def _mismatches(self, terms: Sequence[Term], since: float) -> list[str]:
         """Signals that were not received after a time or do not match; one text each."""
-        wrong = []
+        mismatches = []
         for term in terms:
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
             if not self._fits(term, since):
-                lacks = self._is_missing(term.message, term.signal)
-                missing = f"absent ({self._problems[term.message][0]})" if lacks else "no message"
-                wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, missing)}")
-        return wrong
+                is_missing = self._is_missing(term.message, term.signal)
+                absence = f"absent ({self._problems[term.message][0]})" if is_missing else "no message"
+                mismatches.append(f"{term.message}.{term.signal} is {values.get(term.signal, absence)}")
+        return mismatches
 
     def _moving(self) -> str:
         """The reason why the device may move, or '': a file describes no motion, so the device is at rest
@@ -280,7 +282,7 @@ class CanSignals(Device):
         if not self._confirm:
             return ""
         silence = self._silence()
-        if silence > self._patience:
+        if silence > self._max_age:
             return f"no message for {silence:.1f} s"
         return ", ".join(self._mismatches(self._confirm, -math.inf))
 
@@ -288,7 +290,7 @@ class CanSignals(Device):
 
     async def do_set(self, signal: str, value: float) -> None:
         """Sets one signal and sends its message."""
-        message, name = self._named(signal)
+        message, name = self._split_signal(signal)
         self._check_command(message)
         selected = self._file.selectors(message, name)
         await self._transmit(message, {**self._stream.values(message), **selected, name: value})
@@ -299,32 +301,34 @@ class CanSignals(Device):
         names = [signal.name for signal in self._file.message(message).signals]
         if len(values) != len(names):
             raise self.error(f"{message} has {len(names)} signals ({', '.join(names)}), not {len(values)}")
-        named = dict(zip(names, values, strict=True))
-        await self._transmit(message, named)
+        values_by_name = dict(zip(names, values, strict=True))
+        await self._transmit(message, values_by_name)
 
     async def do_read(self, signal: str) -> float:
         """Returns the last value of a signal, or the next one."""
-        message, name = self._named(signal)
-        oldest = self.clock.monotonic() - self._patience
+        message, name = self._split_signal(signal)
+        oldest = self.clock.monotonic() - self._max_age
 
-        def fresh() -> bool:
+        def is_current() -> bool:
             return self._received.get(f"{message}.{name}", (-math.inf,))[0] >= oldest
 
-        if not await self._changes.wait_for(fresh, self._patience):
+        if not await self._changes.wait_for(is_current, self._max_age):
             refused_at, refusal = self._refused.get(message, (-math.inf, ""))
-            cause = self._problems[message][0] if self._is_missing(message, name) else self._bus.trouble
+            cause = self._problems[message][0] if self._is_missing(message, name) else self._bus.problem_text
             if refused_at >= oldest:
                 cause = refusal
-            why = f": {cause}" if cause else ""
-            self.publish(online=self._silence() <= self._patience)
-            raise self.error(f"{signal} was not received for over {self._patience:g} s{why}", timeout=True)
+            cause_text = f": {cause}" if cause else ""
+            self.publish(online=self._silence() <= self._max_age)
+            raise self.error(
+                f"{signal} was not received for over {self._max_age:g} s{cause_text}", timeout=True
+            )
         return self._received[f"{message}.{name}"][1][name]
 
     def _is_missing(self, message: str, signal: str) -> bool:
         """Whether the message is received without the signal."""
         at, values = self._received.get(message, (-math.inf, {}))
-        young = at >= self.clock.monotonic() - self._patience
-        return young and message in self._problems and signal not in values
+        is_current = at >= self.clock.monotonic() - self._max_age
+        return is_current and message in self._problems and signal not in values
 
     async def do_age_of(self, message: str) -> float:
         """Seconds since a message was received."""
@@ -335,7 +339,7 @@ class CanSignals(Device):
     # -- parts ------------------------------------------------------------------------------------------
 
     @property
-    def _patience(self) -> float:
+    def _max_age(self) -> float:
         max_age: float = self.binding.option("max_age")
         return max_age
 
@@ -343,7 +347,7 @@ class CanSignals(Device):
         """Seconds since the last message of any kind."""
         return self.clock.monotonic() - max((at for at, _ in self._received.values()), default=-math.inf)
 
-    def _named(self, signal: str) -> tuple[str, str]:
+    def _split_signal(self, signal: str) -> tuple[str, str]:
         try:
             return self._file.split(signal)
         except DbcError as error:

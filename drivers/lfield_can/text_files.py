@@ -21,7 +21,7 @@ _MARKS = (
 )
 #: First bytes of hiragana and katakana in Shift-JIS; in cp1252 a low quote and a florin sign.
 _KANA = (0x82, 0x83)
-#: A number that is not a coincidence.
+#: Number of these bytes from which a text counts as Japanese.
 _MANY_KANA = 3
 #: Warnings per file that are logged.
 MAX_WARNINGS = 10
@@ -77,5 +77,5 @@ def log_warnings(warnings: Sequence[Diagnostic], path: str, note: Callable[[str]
                 place=place, kind=warning.code, reason=warning.message, hint=warning.hint
             )
         )
-    if more := len(ordered[MAX_WARNINGS:]):
-        note(log_messages.FILE_WARNINGS.line(path=path, count=more))
+    if others := len(ordered[MAX_WARNINGS:]):
+        note(log_messages.FILE_WARNINGS.line(path=path, count=others))

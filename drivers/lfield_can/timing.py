@@ -31,54 +31,54 @@ class ChangeNotifier:
         except TimeoutError:
             pass
 
-    async def wait_for(self, condition: Callable[[], bool], bound: float) -> bool:
-        """Whether the condition became true within `bound` seconds."""
-        end = self._clock.monotonic() + bound
+    async def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Whether the condition became true within `timeout` seconds."""
+        end = self._clock.monotonic() + timeout
         while not condition():
-            left = end - self._clock.monotonic()
-            if left <= 0.0:
+            remaining = end - self._clock.monotonic()
+            if remaining <= 0.0:
                 return False
-            await self.wait_change(left)
+            await self.wait_change(remaining)
         return True
 
 
 class MoveProgress:
-    """Decides when a move has failed: its distance has not decreased by `least` rad for `limit` seconds."""
+    """Detects a failed move: its distance has not decreased by `min_progress` rad for `limit` seconds."""
 
-    def __init__(self, clock: Clock, limit: float, least: float) -> None:
+    def __init__(self, clock: Clock, limit: float, min_progress: float) -> None:
         self._clock = clock
-        self._limit, self._least = limit, least
-        self._best, self._best_at = math.inf, clock.monotonic()
+        self._limit, self._min_progress = limit, min_progress
+        self._least_distance, self._progress_at = math.inf, clock.monotonic()
 
     def failure(self, distance: float) -> str:
         """The reason why the move has failed, or "". `distance` to the goal is in rad, inf if unknown."""
         now = self._clock.monotonic()
-        if distance < self._best - self._least:
-            self._best, self._best_at = distance, now
-        if now - self._best_at <= self._limit:
+        if distance < self._least_distance - self._min_progress:
+            self._least_distance, self._progress_at = distance, now
+        if now - self._progress_at <= self._limit:
             return ""
         return f"moveTo failed: no progress for {self._limit:g} s, {distance:.3f} rad from its goal"
 
 
 class PeriodicTask:
-    """At most one repetition at a time. `overruns` counts the missed ones."""
+    """Calls a function periodically. `overruns` counts the missed calls."""
 
     def __init__(self, clock: Clock) -> None:
         self.overruns = 0
         self._clock = clock
         self._task: asyncio.Task[None] | None = None
-        self._period, self._work = 0.0, _nothing
+        self._period, self._action = 0.0, _nothing
 
-    def start(self, period: float, work: Callable[[], None], *, lasts: float = math.inf) -> None:
-        """Calls `work` every `period` seconds, for `lasts` seconds; ends the previous repetition."""
-        self._period, self._work = period, work
-        self.resume(lasts=lasts)
+    def start(self, period: float, action: Callable[[], None], *, duration: float = math.inf) -> None:
+        """Calls `action` every `period` seconds, for `duration` seconds; ends the previous repetition."""
+        self._period, self._action = period, action
+        self.resume(duration=duration)
 
-    def resume(self, *, lasts: float = math.inf) -> None:
+    def resume(self, *, duration: float = math.inf) -> None:
         """Restarts the last repetition."""
         self.stop()
-        work = self._repeat(self._clock.monotonic() + lasts)
-        self._task = asyncio.get_running_loop().create_task(work)
+        repetition = self._repeat(self._clock.monotonic() + duration)
+        self._task = asyncio.get_running_loop().create_task(repetition)
 
     def stop(self) -> None:
         if self._task is not None:
@@ -97,7 +97,7 @@ class PeriodicTask:
             missed = max(0, int((now - due) / self._period))
             self.overruns += missed
             due += missed * self._period
-            self._work()
+            self._action()
 
 
 class Sync:
@@ -109,20 +109,20 @@ class Sync:
     def __init__(self, clock: Clock, post: Callable[[Frame], None], period: float) -> None:
         self._post, self._period = post, period
         self._needed_by: dict[int, int] = {}
-        self._repeating = PeriodicTask(clock)
+        self._repetition = PeriodicTask(clock)
 
     def require(self, node: int, identifier: int) -> None:
         """Starts SYNC for a node, with the id of its object 0x1005."""
-        idle = not self._needed_by
+        was_idle = not self._needed_by
         self._needed_by[node] = identifier
-        if idle:
-            self._repeating.start(self._period, self._send)
+        if was_idle:
+            self._repetition.start(self._period, self._send)
 
     def release(self, node: int) -> None:
         """Ends SYNC for a node that does not need it, or while the bus is muted."""
         self._needed_by.pop(node, None)
         if not self._needed_by:
-            self._repeating.stop()
+            self._repetition.stop()
 
     def _send(self) -> None:
         for identifier in set(self._needed_by.values()):

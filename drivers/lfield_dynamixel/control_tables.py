@@ -120,13 +120,13 @@ def model_number_address(protocol: int) -> int:
 @cache
 def models() -> dict[tuple[int, int], Model]:
     """Every model in the tables, by protocol and model number."""
-    found: dict[tuple[int, int], Model] = {}
+    models_by_number: dict[tuple[int, int], Model] = {}
     for file in sorted((files("lfield_dynamixel") / "tables").iterdir(), key=lambda file: file.name):
         table = tomllib.loads(file.read_text(encoding="utf-8"))
         for name, facts in table["models"].items():
             model = _model(name, facts, table)
-            found[model.protocol, model.number] = model
-    return found
+            models_by_number[model.protocol, model.number] = model
+    return models_by_number
 
 
 def _model(name: str, facts: dict[str, Any], table: dict[str, Any]) -> Model:

@@ -55,12 +55,12 @@ class Dynamixel(MovingMembers):
         start = await self.observe()
         self._check_present({number: angle}, start)
         await self.send(self.goals({number: angle}, start))
-        await self._close(angle, current)
+        await self._await_contact(angle, current)
 
-    async def _close(self, angle: float, current: float) -> None:
+    async def _await_contact(self, angle: float, current: float) -> None:
         """Waits until the servo has arrived or pushes; otherwise another object blocks it."""
         number, tolerance = self.servo.node.number, self.binding.option("tolerance")
-        moved_at, pushes_since = self.clock.monotonic(), math.inf
+        last_motion, pushing_since = self.clock.monotonic(), math.inf
         while True:
             observed = await self.observe()
             self.publish_readings(observed)
@@ -68,16 +68,16 @@ class Dynamixel(MovingMembers):
             if observed[number].alert:
                 await self.check_shut_down("moveUntil")
             value, now = observed[number], self.clock.monotonic()
-            rests = abs(value.velocity) <= STILL
-            if rests and abs(angle - value.position) <= tolerance:
+            is_at_rest = abs(value.velocity) <= STILL
+            if is_at_rest and abs(angle - value.position) <= tolerance:
                 return
-            pushes = rests and abs(value.current) >= PUSHING_SHARE * current
-            pushes_since = min(pushes_since, now) if pushes else math.inf
-            if now - pushes_since >= PUSHING_TIME:
+            is_pushing = is_at_rest and abs(value.current) >= PUSHING_SHARE * current
+            pushing_since = min(pushing_since, now) if is_pushing else math.inf
+            if now - pushing_since >= PUSHING_TIME:
                 self.servo.set_pushing(True)
                 return
-            moved_at = moved_at if rests else now
-            if now - moved_at > STUCK_TIME:
+            last_motion = last_motion if is_at_rest else now
+            if now - last_motion > STUCK_TIME:
                 await self._stop_stalled(
                     "moveUntil", {number: abs(angle - value.position)}, tolerance, observed
                 )
@@ -104,21 +104,21 @@ class Dynamixel(MovingMembers):
         limit = self.binding.limits.get("current", math.inf)
         await self._set_goal("setCurrent", "current", current, self.servo.model.current, limit)
 
-    async def _set_goal(self, what: str, mode: str, value: float, unit: float, limit: float) -> None:
+    async def _set_goal(self, instruction: str, mode: str, value: float, unit: float, limit: float) -> None:
         """Sends a goal in the nearest count within the limit."""
-        self.check_ready(what, [mode])
+        self.check_ready(instruction, [mode])
         counts = round(self.servo.joint.direction * value / unit)
         if abs(counts) * unit > limit * ROUNDED:
             counts -= 1 if counts > 0 else -1
-        await self._command(what, *self.servo.write_of(f"goal_{mode}", counts))
+        await self._command(instruction, *self.servo.write_of(f"goal_{mode}", counts))
 
-    async def _command(self, what: str, address: int, data: bytes) -> None:
+    async def _command(self, instruction: str, address: int, data: bytes) -> None:
         """Writes a goal. The condition explains a refusal better than the error byte."""
         try:
             await self.chain.write(self.servo.node, address, data)
         except ServoRefusal:
             await self.read_conditions()
-            self.check_ready(what, [self.servo.mode])
+            self.check_ready(instruction, [self.servo.mode])
             raise
 
     async def do_calibrate(self, angle: float) -> None:
@@ -144,18 +144,18 @@ class Dynamixel(MovingMembers):
         servo, joint = self.servo, self.servo.joint
         low, high = sorted(servo.model.to_counts(joint.to_servo(angle)) for angle in (lowest, highest))
         if high == 2 * servo.model.centre and servo.model.protocol != 1:
-            high -= 1  # a half turn equals minus a half turn; take the last count of the turn
+            high -= 1  # a half turn equals minus a half turn; use the last count of the turn
         if low < 0:
             edge = joint.to_joint(servo.model.to_angle(0))
             raise self.error(f"setRange: {lowest:g} to {highest:g} rad is beyond {edge:.3f} rad")
         await servo.write_eeprom(min_position_limit=low, max_position_limit=high)
 
-    def _check_current(self, what: str, current: float) -> None:
+    def _check_current(self, instruction: str, current: float) -> None:
         limit = self.binding.limits.get("current", math.inf)
         if not abs(current) <= limit * ROUNDED or math.isinf(current):  # refuses NaN as well
-            raise self.error(f"{what} of {current:g} A is above the limit of {limit:g} A")
+            raise self.error(f"{instruction} of {current:g} A is above the limit of {limit:g} A")
         if not self.servo.model.current:
-            raise self.error(f"{what}: a {self.servo.model.name} does not measure its current")
+            raise self.error(f"{instruction}: a {self.servo.model.name} does not measure its current")
 
 
 class DynamixelGroup(MovingMembers):
@@ -182,8 +182,8 @@ class DynamixelGroup(MovingMembers):
         """Moves the joint of that name."""
         numbers = {servo.joint.name: number for number, servo in self.servos.items() if servo.joint.name}
         if name not in numbers:
-            known = ", ".join(numbers) or "none: write 'names' in its binding"
-            raise self.error(f"moveJoint: there is no joint '{name}'; there are: {known}")
+            names = ", ".join(numbers) or "none: write 'names' in its binding"
+            raise self.error(f"moveJoint: there is no joint '{name}'; there are: {names}")
         await self.travel("moveJoint", {numbers[name]: angle})
 
     async def do_set_positions(self, angles: list[float]) -> None:
@@ -193,7 +193,9 @@ class DynamixelGroup(MovingMembers):
         self.check_ready("setPositions", POSITION_MODES)
         await self.send(self.goals(goals, self.last_readings), COMMAND)
 
-    def _by_id(self, what: str, angles: list[float]) -> dict[int, float]:
+    def _by_id(self, instruction: str, angles: list[float]) -> dict[int, float]:
         if len(angles) != len(self.servos):
-            raise self.error(f"{what} requires {len(self.servos)} angles, one for each id, not {len(angles)}")
+            raise self.error(
+                f"{instruction} requires {len(self.servos)} angles, one for each id, not {len(angles)}"
+            )
         return dict(zip(self.servos, angles, strict=True))

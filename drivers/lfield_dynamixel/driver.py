@@ -52,12 +52,12 @@ class DynamixelDriver(Driver):
         )
         self._chain = Chain(self._bus)
         # Cleared while the host is silent: a polled servo would not notice it.
-        self._awake = asyncio.Event()
-        self._awake.set()
+        self._may_poll = asyncio.Event()
+        self._may_poll.set()
 
     def _device(self, binding: DeviceBinding) -> Members:
-        kind = _TYPES[binding.type]
-        return kind(binding, self.manifests[binding.type], self.clock, self.reports, self._chain)
+        device_class = _TYPES[binding.type]
+        return device_class(binding, self.manifests[binding.type], self.clock, self.reports, self._chain)
 
     @property
     def _members(self) -> list[Members]:
@@ -78,19 +78,19 @@ class DynamixelDriver(Driver):
         self._bus.close()
 
     def _quiet(self) -> None:
-        self._awake.clear()
+        self._may_poll.clear()
 
     def _resume(self) -> None:
-        self._awake.set()
+        self._may_poll.set()
 
     async def _poll(self) -> None:
         """Polls every device; not while the host is silent or the port is lost."""
         period = min([PERIOD, *(0.5 * device.binding.ttl for device in self._members)])
         while True:
-            await self._awake.wait()
+            await self._may_poll.wait()
             if not self._bus.is_lost:
                 for device in self._members:
-                    if device.opened and self._awake.is_set():
+                    if device.opened and self._may_poll.is_set():
                         await device.poll()
             await asyncio.sleep(period)
 

@@ -63,13 +63,13 @@ async def refused_without_torque(bench: Bench) -> str:
 @KIT.check("torque on does not move it", moves=True)
 async def torque_on(bench: Bench) -> str:
     """The servo holds its position when its torque is switched on."""
-    before = _angles(bench)
+    start_angles = _angles(bench)
     await bench.call("torque", True)
     await bench.until(lambda: bool(bench.query("torqueOn")), 3.0, "the torque to be on")
-    moved = max(abs(now - then) for now, then in zip(_angles(bench), before, strict=True))
-    if moved > NEAR:
-        raise CheckFailed(f"it moved by {moved:.3f} rad")
-    return f"it moved by {moved:.4f} rad"
+    motion = max(abs(angle - start) for angle, start in zip(_angles(bench), start_angles, strict=True))
+    if motion > NEAR:
+        raise CheckFailed(f"it moved by {motion:.3f} rad")
+    return f"it moved by {motion:.4f} rad"
 
 
 @KIT.check("turns there and back", moves=True)
@@ -78,13 +78,13 @@ async def turns(bench: Bench) -> str:
     await _get_ready(bench)
     start = _angles(bench)
     errors = []
-    for way in (_inwards(bench, start), [0.0] * len(start)):
-        goal = [angle + turn for angle, turn in zip(start, way, strict=True)]
+    for motion in (_inwards(bench, start), [0.0] * len(start)):
+        goal = [start_angle + turn for start_angle, turn in zip(start, motion, strict=True)]
         await bench.call("moveTo", goal if _is_group(bench) else goal[0])
-        off = max(abs(now - target) for now, target in zip(_angles(bench), goal, strict=True))
-        if off > NEAR:
-            raise CheckFailed(f"moveTo() returned {off:.3f} rad short")
-        errors.append(f"{off:.3f}")
+        error = max(abs(angle - target) for angle, target in zip(_angles(bench), goal, strict=True))
+        if error > NEAR:
+            raise CheckFailed(f"moveTo() returned {error:.3f} rad short")
+        errors.append(f"{error:.3f}")
     return f"within {' and '.join(errors)} rad"
 
 
@@ -96,14 +96,16 @@ async def cancels(bench: Bench) -> str:
     goal = [angle + turn for angle, turn in zip(start, _inwards(bench, start), strict=True)]
     has_started = partial(_is_off, bench, start)
     outcome = await cancelled(bench, has_started, "moveTo", goal if _is_group(bench) else goal[0])
-    stood = _angles(bench)
+    stop_angles = _angles(bench)
     await asyncio.sleep(LATE)
-    moved = max(abs(now - then) for now, then in zip(_angles(bench), stood, strict=True))
-    if moved > NEAR or not bench.query("torqueOn"):
-        raise CheckFailed(f"{outcome}, but then it moved by {moved:.3f} rad, or is limp")
+    motion = max(
+        abs(angle - stop_angle) for angle, stop_angle in zip(_angles(bench), stop_angles, strict=True)
+    )
+    if motion > NEAR or not bench.query("torqueOn"):
+        raise CheckFailed(f"{outcome}, but then it moved by {motion:.3f} rad, or is limp")
     await bench.call("moveTo", start if _is_group(bench) else start[0])
-    left = max(abs(target - then) for target, then in zip(goal, stood, strict=True))
-    return f"{outcome}, {left:.2f} rad from its goal; then back"
+    remaining = max(abs(target - stop_angle) for target, stop_angle in zip(goal, stop_angles, strict=True))
+    return f"{outcome}, {remaining:.2f} rad from its goal; then back"
 
 
 @KIT.check("angles outside its bounds are refused", moves=True)
@@ -134,21 +136,23 @@ async def speed(bench: Bench) -> str:
 async def ends_safely(bench: Bench) -> str:
     """The guard brings the servo into the safe state after the time-to-live; the servo is then at rest."""
     await _get_ready(bench)
-    last = bench.now
+    sent_at = bench.now
     await bench.call("setPositions" if _is_group(bench) else "setPosition", _goal(bench, 0.0))
     ttl = bench.binding.ttl
     await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
-    ended = bench.now - last
-    if ended > ttl + LATE:
-        raise CheckFailed(f"it ended only after {ended:.2f} s")
+    elapsed = bench.now - sent_at
+    if elapsed > ttl + LATE:
+        raise CheckFailed(f"it ended only after {elapsed:.2f} s")
     await rested(bench)
     reason = await held(bench, 0.0)
-    before = _angles(bench)
+    safe_angles = _angles(bench)
     await asyncio.sleep(0.2)
-    moved = max(abs(now - then) for now, then in zip(_angles(bench), before, strict=True))
-    if moved > NEAR:
-        raise CheckFailed(f"it moved by {moved:.3f} rad in its safe state")
-    return f"after {ended:.2f} s because {reason}"
+    motion = max(
+        abs(angle - safe_angle) for angle, safe_angle in zip(_angles(bench), safe_angles, strict=True)
+    )
+    if motion > NEAR:
+        raise CheckFailed(f"it moved by {motion:.3f} rad in its safe state")
+    return f"after {elapsed:.2f} s because {reason}"
 
 
 @KIT.check("its watchdog stops it, and release() frees it", moves=True)
@@ -199,7 +203,9 @@ def _inwards(bench: Bench, angles: list[float]) -> list[float]:
 
 def _is_off(bench: Bench, start: list[float]) -> bool:
     """Whether a servo has left its position."""
-    return any(abs(now - then) > NEAR for now, then in zip(_angles(bench), start, strict=True))
+    return any(
+        abs(angle - start_angle) > NEAR for angle, start_angle in zip(_angles(bench), start, strict=True)
+    )
 
 
 def _is_group(bench: Bench) -> bool:
@@ -210,6 +216,6 @@ def _angles(bench: Bench) -> list[float]:
     return list(bench.query("positions")) if _is_group(bench) else [float(bench.query("position"))]
 
 
-def _goal(bench: Bench, way: float) -> list[float] | float:
-    goal = [angle + way for angle in _angles(bench)]
+def _goal(bench: Bench, motion: float) -> list[float] | float:
+    goal = [angle + motion for angle in _angles(bench)]
     return goal if _is_group(bench) else goal[0]

@@ -1,4 +1,4 @@
-"""Common part of one servo (a group of one) and a group: members are found, monitored, held and released."""
+"""Base class of one servo (a group of one) and a group: opens, monitors, holds and releases the members."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Members(Device):
         await write_setting(self.servos, name, int(value))
 
     def _in_use(self) -> str:
-        return "its torque is on" if any(now.torque for now in self.conditions.values()) else ""
+        return "its torque is on" if any(condition.torque for condition in self.conditions.values()) else ""
 
     async def do_release(self) -> None:
         """The program takes control again: members stopped by their watchdog follow goals again."""
@@ -134,7 +134,7 @@ class Members(Device):
         if (await servo.condition()).watchdog in (0, WATCHDOG_FIRED):
             await servo.set_watchdog(self._watchdog)
 
-    # -- watching ---------------------------------------------------------------------------------------
+    # -- monitoring -------------------------------------------------------------------------------------
 
     async def poll(self) -> None:
         """Polls the members once and publishes the readings; failures are logged, not raised."""
@@ -143,18 +143,18 @@ class Members(Device):
         self._polls += 1
         if self._polls % CONDITIONS_EVERY == 0 or any(value.alert for value in observed.values()):
             await self.read_conditions()
-        if self._polls % ID_CHECK_EVERY == 0 and (there := self._there()):
-            await self.check_for_double(there[self._polls // ID_CHECK_EVERY % len(there)])
+        if self._polls % ID_CHECK_EVERY == 0 and (answering := self._answering_members()):
+            await self.check_for_double(answering[self._polls // ID_CHECK_EVERY % len(answering)])
 
     async def observe(self, *, urgency: int = COMMAND, alone: bool = True) -> Readings:
         """The readings of members that answer. Silent members are asked at intervals only."""
-        asked = await self._present_members(urgency) if alone else list(self.servos.values())
-        answers = await self._read(asked, "present", urgency, alone=alone)
+        queried = await self._present_members(urgency) if alone else list(self.servos.values())
+        answers = await self._read(queried, "present", urgency, alone=alone)
         observed = {number: self.servos[number].reading(status) for number, status in answers.items()}
         now = self.clock.monotonic()
         self._readings.update({number: (now, value) for number, value in observed.items()})
         if alone:
-            for servo in asked:
+            for servo in queried:
                 if servo.node.number not in observed:
                     self._on_missing(servo)
         if observed:
@@ -166,26 +166,26 @@ class Members(Device):
     ) -> dict[int, Status]:
         """Reads a range of the control tables (`present` or `state`) of several servos, by id."""
         answers: dict[int, Status] = {}
-        for place in {getattr(servo.model, area) for servo in servos}:
-            nodes = [servo.node for servo in servos if getattr(servo.model, area) == place]
-            answers |= await self.chain.sync_read(nodes, *place, urgency=urgency, alone=alone)
+        for span in {getattr(servo.model, area) for servo in servos}:
+            nodes = [servo.node for servo in servos if getattr(servo.model, area) == span]
+            answers |= await self.chain.sync_read(nodes, *span, urgency=urgency, alone=alone)
         return answers
 
     async def _present_members(self, urgency: int) -> list[Servo]:
         """The members known to answer; silent ones are tried again at intervals."""
-        found = []
+        present = []
         for number, servo in self.servos.items():
             if self._probe_at.get(number, 0.0) > self.clock.monotonic():
                 continue
             if number in self._probe_at:
-                alone = await self.chain.ping(servo.node, urgency=urgency) is not None
-                if not alone or await self._is_doubled(servo, urgency):
+                answers = await self.chain.ping(servo.node, urgency=urgency) is not None
+                if not answers or await self._is_doubled(servo, urgency):
                     self._on_missing(servo)
                     continue
                 del self._probe_at[number]
                 await self._note_return(servo)
-            found.append(servo)
-        return found
+            present.append(servo)
+        return present
 
     async def check_for_double(self, servo: Servo) -> None:
         """Stops all members when another servo has joined with the id of a member."""
@@ -225,11 +225,11 @@ class Members(Device):
     async def _return_reason(self, servo: Servo) -> str:
         """The condition of a servo after its silence. Without power it has lost its watchdog setting."""
         try:
-            now = await servo.condition(urgency=POLL)
-            torque = "torque on" if now.torque else "torque off"
-            if now.watchdog == WATCHDOG_FIRED:
+            state = await servo.condition(urgency=POLL)
+            torque = "torque on" if state.torque else "torque off"
+            if state.watchdog == WATCHDOG_FIRED:
                 return f"{torque}, stopped by its watchdog until release()"
-            if servo.model.watchdog and now.watchdog == 0 and self._watchdog is not None:
+            if servo.model.watchdog and state.watchdog == 0 and self._watchdog is not None:
                 await servo.read_settings()
                 await servo.set_watchdog(self._watchdog)
                 return f"{torque}, restarted"
@@ -237,24 +237,30 @@ class Members(Device):
             return error.reason
         return torque
 
-    def _there(self) -> list[Servo]:
+    def _answering_members(self) -> list[Servo]:
         """The members that answered last time."""
         return [servo for number, servo in self.servos.items() if number not in self._probe_at]
 
     async def read_conditions(self) -> None:
         """Reads the conditions of answering members, and publishes them."""
-        answers = await self._read(self._there(), "state", COMMAND)
+        answers = await self._read(self._answering_members(), "state", COMMAND)
         for number, status in answers.items():
-            servo, old = self.servos[number], self.conditions.get(number)
-            new = self.conditions[number] = condition(servo.model, status)
+            servo, previous = self.servos[number], self.conditions.get(number)
+            current = self.conditions[number] = condition(servo.model, status)
             label = servo.joint.label
-            if new.faults and (old is None or old.faults != new.faults):
-                torque = "reduced" if new.weak else "on" if new.torque else "off"
-                self.note(log_messages.FAULT.line(number=label, fault=new.faults, torque=torque))
-            if new.watchdog == WATCHDOG_FIRED and (old is None or old.watchdog != WATCHDOG_FIRED):
+            if current.faults and (previous is None or previous.faults != current.faults):
+                torque = "reduced" if current.weak else "on" if current.torque else "off"
+                self.note(log_messages.FAULT.line(number=label, fault=current.faults, torque=torque))
+            if current.watchdog == WATCHDOG_FIRED and (
+                previous is None or previous.watchdog != WATCHDOG_FIRED
+            ):
                 self.note(log_messages.WATCHDOG_FIRED.line(number=label))
-            if new.watchdog == 0 and old is not None and old.watchdog not in (0, WATCHDOG_FIRED):
-                await self._note_return(servo)  # a dip of its supply
+            if (
+                current.watchdog == 0
+                and previous is not None
+                and previous.watchdog not in (0, WATCHDOG_FIRED)
+            ):
+                await self._note_return(servo)  # its supply voltage has dropped
         self._publish_conditions()
 
     def _publish_conditions(self) -> None:
@@ -295,63 +301,63 @@ class Members(Device):
     async def hold_answering(self) -> None:
         """Commands the members that answer to hold. A silent one may be two servos with one id."""
         observed = await self.observe(urgency=SAFETY)
-        places = {s: at for s, at in self._places(observed).items() if s.node.number in observed}
+        places = {s: present for s, present in self._places(observed).items() if s.node.number in observed}
         await self.send({servo: servo.write_of(*servo.hold_goal(place)) for servo, place in places.items()})
 
     def _moving(self) -> str:
         motions = {number: self._motion_of(number) for number in self.servos}
-        alone = len(self.servos) == 1
+        is_single = len(self.servos) == 1
         return ", ".join(
-            motion if alone else f"servo {n} {motion}" for n, motion in motions.items() if motion
+            motion if is_single else f"servo {n} {motion}" for n, motion in motions.items() if motion
         )
 
     def _motion_of(self, number: int) -> str:
         """The motion of one member that is still moving in the safe state; '' when it is at rest."""
-        at, observed = self._readings.get(number, (0.0, None))
+        read_at, observed = self._readings.get(number, (0.0, None))
         if observed is None:
             return "does not answer"
-        turns = f"turning at {abs(observed.velocity):.1f} rad/s"
-        silence = self.clock.monotonic() - at
+        rotation = f"turning at {abs(observed.velocity):.1f} rad/s"
+        silence = self.clock.monotonic() - read_at
         if number in self._probe_at or silence > SILENT:
-            last = f", last seen {turns}" if abs(observed.velocity) > STILL else ""
-            return f"no message for {silence:.1f} s{last}"
+            last_motion = f", last seen {rotation}" if abs(observed.velocity) > STILL else ""
+            return f"no message for {silence:.1f} s{last_motion}"
         if abs(observed.velocity) > STILL:
-            return turns
-        known = self.conditions.get(number)
-        if self.safe_state == "torque_off" and known is not None and known.torque:
-            # The servo was limp: another master on the bus has switched its torque on.
-            return "stiff again"
+            return rotation
+        condition = self.conditions.get(number)
+        if self.safe_state == "torque_off" and condition is not None and condition.torque:
+            # Another master on the bus has switched the torque on.
+            return "torque on again"
         return ""
 
     async def release_torque(self, urgency: int) -> None:
         """Switches every torque off by one packet, then confirms each."""
 
-        async def be_limp(servo: Servo) -> None:
+        async def confirm(servo: Servo) -> None:
             servo.set_pushing(False)
             if await servo.read_item("torque_enable", urgency=urgency):
                 await servo.write_item("torque_enable", 0, urgency=urgency)
-            if known := self.conditions.get(servo.node.number):
-                self.conditions[servo.node.number] = replace(known, torque=False)
+            if condition := self.conditions.get(servo.node.number):
+                self.conditions[servo.node.number] = replace(condition, torque=False)
 
         servos = self.servos.values()
         await self.send({s: (s.item("torque_enable").address, b"\0") for s in servos}, urgency)
-        await self.for_each(servos, be_limp)
+        await self.for_each(servos, confirm)
         self._publish_conditions()
 
     def _places(self, readings: Readings) -> dict[Servo, Present]:
-        """The position at which each member is to hold; for a silent one that may receive, its last position.
+        """The position at which each member must hold; the last position for a member that does not answer.
 
         A member that holds an object by its force continues to do so.
         """
         now = self.clock.monotonic()
-        fresh = {n: value for n, (at, value) in self._readings.items() if now - at <= MAX_AGE}
-        places = {self.servos[number]: value for number, value in (fresh | readings).items()}
+        recent = {n: value for n, (read_at, value) in self._readings.items() if now - read_at <= MAX_AGE}
+        places = {self.servos[number]: value for number, value in (recent | readings).items()}
         return {s: value for s, value in places.items() if not (s.pushing or self._is_limp(s))}
 
     def _is_limp(self, servo: Servo) -> bool:
         """Whether a servo is known to be limp: a goal would switch an AX on."""
-        known = self.conditions.get(servo.node.number)
-        return known is not None and not known.torque
+        condition = self.conditions.get(servo.node.number)
+        return condition is not None and not condition.torque
 
     async def send(self, writes: dict[Servo, tuple[int, bytes]], urgency: int = SAFETY) -> None:
         """Writes to several servos at once, one packet per address; also reaches those that cannot answer."""
@@ -362,33 +368,33 @@ class Members(Device):
 
     async def _await_still(self, servo: Servo) -> None:
         """Confirms that a servo has stopped: its goal is its position, or it cannot turn."""
-        now = await servo.condition(urgency=SAFETY)
-        if now.torque and now.watchdog != WATCHDOG_FIRED and not servo.pushing:
-            name, place = servo.hold_goal(await servo.present(urgency=SAFETY))
+        condition = await servo.condition(urgency=SAFETY)
+        if condition.torque and condition.watchdog != WATCHDOG_FIRED and not servo.pushing:
+            name, goal = servo.hold_goal(await servo.present(urgency=SAFETY))
             # A slightly older goal is valid; one that is far off never reached the servo.
-            near = STILL / servo.model.position if name == "goal_position" else 0.0
-            if abs(await servo.read_item(name, urgency=SAFETY) - place) > near:
-                await servo.write_item(name, place, urgency=SAFETY)
-        deadline, still = self.clock.monotonic() + STOP, 0
-        while still < 2:
+            tolerance = STILL / servo.model.position if name == "goal_position" else 0.0
+            if abs(await servo.read_item(name, urgency=SAFETY) - goal) > tolerance:
+                await servo.write_item(name, goal, urgency=SAFETY)
+        deadline, still_readings = self.clock.monotonic() + STOP, 0
+        while still_readings < 2:
             observed = await servo.present(urgency=SAFETY)
             self._readings[servo.node.number] = (self.clock.monotonic(), observed)
-            still = still + 1 if abs(observed.velocity) <= STILL else 0
-            if not still and self.clock.monotonic() > deadline:
+            still_readings = still_readings + 1 if abs(observed.velocity) <= STILL else 0
+            if not still_readings and self.clock.monotonic() > deadline:
                 raise servo.error(f"still turns, at {observed.velocity:.2f} rad/s")
             await asyncio.sleep(POLL_INTERVAL)
 
     # -- parts ------------------------------------------------------------------------------------------
 
-    async def for_each(self, servos: Iterable[Servo], work: Callable[[Servo], Awaitable[T]]) -> list[T]:
-        """Runs `work` for every servo. Raises DeviceError with all failures afterwards."""
-        done, failed = [], []
+    async def for_each(self, servos: Iterable[Servo], operation: Callable[[Servo], Awaitable[T]]) -> list[T]:
+        """Runs `operation` for every servo. Raises DeviceError with all failures afterwards."""
+        results, errors = [], []
         for servo in servos:
             try:
-                done.append(await work(servo))
+                results.append(await operation(servo))
             except DeviceError as error:
-                failed.append(error)
-        if failed:
-            silent = all(error.kind == "DeviceTimeoutException" for error in failed)
-            raise self.error("; ".join(error.reason for error in failed), timeout=silent)
-        return done
+                errors.append(error)
+        if errors:
+            is_timeout = all(error.kind == "DeviceTimeoutException" for error in errors)
+            raise self.error("; ".join(error.reason for error in errors), timeout=is_timeout)
+        return results

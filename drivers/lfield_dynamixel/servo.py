@@ -54,7 +54,7 @@ class Present:
 class Condition:
     """State that does not change by itself: torque on, hardware errors in words, watchdog in counts.
 
-    `weak`: it has torque, but a Feetech servo reduces it after an error, and may sag under its load.
+    `weak`: the torque is on, but reduced (Feetech servos after an error); the joint may sag under its load.
     """
 
     torque: bool
@@ -126,9 +126,11 @@ class Servo:
         number = await self._model_number()
         model = models().get((self.node.protocol, number))
         if model is None:
-            known = ", ".join(sorted(m.name for m in models().values() if m.protocol == self.node.protocol))
+            model_names = ", ".join(
+                sorted(m.name for m in models().values() if m.protocol == self.node.protocol)
+            )
             raise self.error(
-                f"is of the model number {number}, which is not in the tables (known: {known}); "
+                f"is of the model number {number}, which is not in the tables (known: {model_names}); "
                 "check 'protocol' in its binding"
             )
         if expected not in ("", model.name):
@@ -172,8 +174,8 @@ class Servo:
         limits = await self.read_item("min_position_limit"), await self.read_item("max_position_limit")
         # A damaged limit may be beyond the positions of the servo, and no goal.
         low, high = (min(counts, self.model.last) for counts in limits)
-        one, other = (self.joint.to_joint(self.model.to_angle(counts)) for counts in (low, high))
-        self._limits, self.reach = (low, high), (min(one, other), max(one, other))
+        first, second = (self.joint.to_joint(self.model.to_angle(counts)) for counts in (low, high))
+        self._limits, self.reach = (low, high), (min(first, second), max(first, second))
 
     @property
     def keeps_answers(self) -> bool:
@@ -235,7 +237,7 @@ class Servo:
             await self.stiffen()
 
     async def _write_unlocked(self, values: Mapping[str, int]) -> None:
-        """Writes items and confirms them. A locked Feetech servo would forget them without power."""
+        """Writes items and confirms them. A locked Feetech servo loses them at power-off."""
         if self.model.has("lock"):
             await self.write_item("lock", 0)
         try:
@@ -253,13 +255,13 @@ class Servo:
 
     def reading(self, status: Status) -> Present:
         """The measured values of the joint in an answer."""
-        own, sign = present(self.model, status), self.joint.direction
+        servo_reading, sign = present(self.model, status), self.joint.direction
         return replace(
-            own,
-            position=self.joint.to_joint(own.position),
-            velocity=sign * own.velocity,
-            current=sign * own.current,
-            effort=sign * own.effort,
+            servo_reading,
+            position=self.joint.to_joint(servo_reading.position),
+            velocity=sign * servo_reading.velocity,
+            current=sign * servo_reading.current,
+            effort=sign * servo_reading.effort,
         )
 
     async def condition(self, *, urgency: int = COMMAND) -> Condition:
@@ -380,7 +382,7 @@ class Servo:
             await self.write_hold_goal(observed)
 
     @property
-    def cure(self) -> str:
+    def remedy(self) -> str:
         """The remedy after the servo has shut down."""
         if self.node.protocol != 2:
             return "torque(true) restores it when the cause is gone"

@@ -23,13 +23,13 @@ _CALIBRATED = ("homing_offset", "min_position_limit", "max_position_limit")
 
 async def settings_of(servos: Iterable[Servo], calibration: str) -> list[Setting]:
     """The settings of all servos with their present values. `calibration` is its file, '' for none."""
-    found = []
+    settings = []
     for servo in servos:
-        for item, (value, why) in (await _required(servo, Path(calibration).name)).items():
-            found.append(
-                Setting(f"{item} of servo {servo.node.number}", await servo.read_item(item), value, why)
+        for item, (value, reason) in (await _required(servo, Path(calibration).name)).items():
+            settings.append(
+                Setting(f"{item} of servo {servo.node.number}", await servo.read_item(item), value, reason)
             )
-    return found
+    return settings
 
 
 async def _required(servo: Servo, file: str) -> Mapping[str, tuple[int, str]]:
@@ -41,12 +41,12 @@ async def _required(servo: Servo, file: str) -> Mapping[str, tuple[int, str]]:
         phase = (await servo.read_item("phase") | _STEPS | _ZERO_IS_GREATEST) & ~_SEVERAL_TURNS
         required["phase"] = (phase, "speeds are steps per second and positions are within one turn")
     if (entry := servo.joint.calibration) is not None:
-        why = f"calibration of {servo.joint.name} in {file}; check that the file is of this servo"
+        reason = f"calibration of {servo.joint.name} in {file}; check that the file is of this servo"
         values = zip(_CALIBRATED, (entry.homing_offset, entry.range_min, entry.range_max), strict=True)
-        required |= {item: (value, why) for item, value in values if model.has(item)}
+        required |= {item: (value, reason) for item, value in values if model.has(item)}
         if model.has("drive_mode"):
             drive_mode = await servo.read_item("drive_mode") & ~_REVERSED | entry.drive_mode
-            required["drive_mode"] = (drive_mode, why)
+            required["drive_mode"] = (drive_mode, reason)
     return required
 
 

@@ -21,7 +21,7 @@ from lfield_mavlink.link.dialect import (
     station_heartbeat,
 )
 from lfield_mavlink.link.links import (
-    AGAIN,
+    RETRY_INTERVAL,
     Link,
     LinkEvents,
     LinkUses,
@@ -57,17 +57,17 @@ class MavlinkDriver(Driver):
         # Of two devices with one system id, neither is opened.
         sources = self._sources[system] = Sources(system, split_endpoint(self.endpoint))
         send = partial(self._send_to, system, station_of(binding))
-        given = binding, self.manifests[binding.type], self.clock, self.reports
-        links = LinkViews(self._counts, self._why_silent, sources, partial(self._commander, system))
-        return MavlinkVehicle(*given, send, links)
+        arguments = binding, self.manifests[binding.type], self.clock, self.reports
+        links = LinkViews(self._counts, self._silence_reason, sources, partial(self._commander, system))
+        return MavlinkVehicle(*arguments, send, links)
 
     def _set_up(self) -> None:
         self._sources: dict[int, Sources] = {}
-        self._uses = LinkUses.of(self.endpoint)
+        self._uses = LinkUses.parse(self.endpoint)
         self._payload = PayloadSources(self._uses.payload)
 
     async def _open(self) -> None:
-        self._quieted = False
+        self._is_quiet = False
         self._ports: list[Port] = []
         self._neighbours = Neighbours()
         self._addresses: dict[int, str] = {}
@@ -90,8 +90,8 @@ class MavlinkDriver(Driver):
         if self._signing is not None:
             self.spawn(self._signing.keep_ahead(next(iter(self._vehicles.values())).note))
         for vehicle in self._vehicles.values():
-            for keeping in vehicle.background_tasks():
-                self.spawn(keeping)
+            for task in vehicle.background_tasks():
+                self.spawn(task)
 
     async def _close(self) -> None:
         for vehicle in self._vehicles.values():
@@ -101,13 +101,13 @@ class MavlinkDriver(Driver):
 
     def _quiet(self) -> None:
         """Stops heartbeats and requests: the autopilots' own failsafes must be able to start."""
-        self._quieted = True
+        self._is_quiet = True
         for vehicle in self._vehicles.values():
             vehicle.set_quiet(True)
             vehicle.stop_setpoints()
 
     def _resume(self) -> None:
-        self._quieted = False
+        self._is_quiet = False
         for vehicle in self._vehicles.values():
             vehicle.set_quiet(False)
 
@@ -138,7 +138,7 @@ class MavlinkDriver(Driver):
         return Port(link, reader, writer, signing, self.wire_log)
 
     def _counts(self) -> LinkCounts:
-        return LinkCounts.over(self._ports, self._signing)
+        return LinkCounts.total(self._ports, self._signing)
 
     async def _open_links(self) -> None:
         """Opens all links. A link that fails is retried as long as another one works."""
@@ -155,7 +155,7 @@ class MavlinkDriver(Driver):
         """Opens a link as soon as possible; logs each reason for a failure once."""
         reported = {reason}
         for attempt in count(2):
-            await asyncio.sleep(AGAIN)
+            await asyncio.sleep(RETRY_INTERVAL)
             try:
                 await link.open()
             except DeviceError as error:
@@ -168,14 +168,14 @@ class MavlinkDriver(Driver):
 
     # -- messages -------------------------------------------------------------------------------------
 
-    def _why_silent(self) -> str:
+    def _silence_reason(self) -> str:
         """The reason why no message of a vehicle may arrive: other vehicles send, or noise, or no sender."""
-        if others := str(self._neighbours):
-            return f"received: {others}; is 'system' in its binding right?"
+        if neighbours := str(self._neighbours):
+            return f"received: {neighbours}; is 'system' in its binding right?"
         if self._received_bytes:
             count = self._received_bytes
             return f"the {count} received bytes contain no heartbeat; is it the right port and baud rate?"
-        return "; ".join(self._ports[number].link.why_silent() for number in self._uses.vehicles)
+        return "; ".join(self._ports[number].link.silence_reason() for number in self._uses.vehicles)
 
     def _commander(self, system: int) -> str:
         """Another station that has just commanded a vehicle, as far as received on the links."""
@@ -199,7 +199,7 @@ class MavlinkDriver(Driver):
                 self._on_payload(source, message)
             elif is_foreign(message, vehicle.state.autopilot):
                 self._neighbours.on_message(message)
-                self._ignore(vehicle, source, message)
+                self._report_foreign(vehicle, source, message)
             else:
                 self._on_vehicle(vehicle, source, message)
 
@@ -220,7 +220,7 @@ class MavlinkDriver(Driver):
         if self._payload.accepts(source, ids, kind, now) or self._sources[system].accepts(source):
             self._vehicles[system].on_component(message)
 
-    def _ignore(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
+    def _report_foreign(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
         """Ignores a heartbeat of a component that is no autopilot but uses its ids: logged once per
         source.
         """
@@ -258,10 +258,10 @@ class MavlinkDriver(Driver):
         sources = self._sources[header.system]
         if len(self._uses.vehicles) > 1 or not sources.accepts(source):
             return False
-        spare = vehicle.is_spare(header.kind, header.sequence)
-        if spare:
+        is_spare = vehicle.is_spare(header.kind, header.sequence)
+        if is_spare:
             sources.touch(source, self.clock.monotonic())
-        return spare
+        return is_spare
 
     def _send_to(self, system: int, station: int, message: Any) -> None:
         payload = self._payload.source((system, getattr(message, "target_component", 0)))
@@ -275,18 +275,20 @@ class MavlinkDriver(Driver):
         """Sends a heartbeat as the ground station of each vehicle on every link, for their failsafes."""
         beats = [(vehicle, station_heartbeat(vehicle.system)) for vehicle in self._vehicles.values()]
         while True:
-            for vehicle, message in () if self._quieted else beats:
+            for vehicle, message in () if self._is_quiet else beats:
                 for port in self._heartbeat_ports(vehicle):
                     port.send(message, vehicle.station)
-            if not self._quieted:
+            if not self._is_quiet:
                 self._request_boards()
             await asyncio.sleep(HEARTBEAT)
 
     def _heartbeat_ports(self, vehicle: MavlinkVehicle) -> list[Port]:
         """The links for heartbeats of a vehicle's station, except those that lead to payload only."""
-        everywhere = vehicle.may_send_heartbeat
+        on_all_links = vehicle.may_send_heartbeat
         return [
-            port for number, port in enumerate(self._ports) if everywhere or number not in self._uses.vehicles
+            port
+            for number, port in enumerate(self._ports)
+            if on_all_links or number not in self._uses.vehicles
         ]
 
     def _request_boards(self) -> None:
@@ -294,6 +296,6 @@ class MavlinkDriver(Driver):
         now = self.clock.monotonic()
         for system, sources in self._sources.items():
             for source in sources.due(now):
-                ask = request_message(system, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+                request = request_message(system, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
                 station = self._vehicles[system].station
-                self._ports[source.link].send(ask, station, source.address)
+                self._ports[source.link].send(request, station, source.address)

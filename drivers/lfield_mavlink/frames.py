@@ -16,7 +16,7 @@ from functools import lru_cache
 
 from lfield.driver import Frame, Origin, Placement, Vector
 from lfield_mavlink.contact.vehicle_state import VehicleState
-from lfield_mavlink.geodesy import Place, onto, round_from
+from lfield_mavlink.geodesy import Place, geodesic_offset, geodesic_position
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,26 +30,26 @@ class GeodeticFrame:
     @property
     def heading(self) -> float:
         """Meridian convergence: the difference of its north from the team's, below 1e-3 rad within 5 km."""
-        return _turn(self.team, self.origin)
+        return _rotation(self.team, self.origin)
 
     def to_team(self, place: Vector) -> Vector:
         """Metres from the origin of the vehicle to metres from the origin of the team."""
-        there = self.origin.shifted(place, self.radius)
-        north, east, _ = onto(self.team, there)
-        return (north, east, self.team.altitude - there.altitude)
+        position = self.origin.shifted(place, self.radius)
+        north, east, _ = geodesic_offset(self.team, position)
+        return (north, east, self.team.altitude - position.altitude)
 
     def from_team(self, place: Vector) -> Vector:
         """The inverse of `to_team`; NaN stays NaN."""
         if not all(map(math.isfinite, place)):
             return place
-        latitude, longitude = round_from(self.team, place[0], place[1])
-        return self.origin.to(Place(latitude, longitude, self.team.altitude - place[2]), self.radius)
+        latitude, longitude = geodesic_position(self.team, place[0], place[1])
+        return self.origin.vector_to(Place(latitude, longitude, self.team.altitude - place[2]), self.radius)
 
 
 @lru_cache(maxsize=64)
-def _turn(team: Origin, origin: Place) -> float:
+def _rotation(team: Origin, origin: Place) -> float:
     """The turn of the frames; cached, since both places are fixed and every telemetry value needs it."""
-    return onto(team, origin)[2]
+    return geodesic_offset(team, origin)[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +78,8 @@ class HomeFrame:
 def frame_of(placement: Placement, state: VehicleState) -> HomeFrame | None:
     """The frame of home in the team's frame, None while the vehicle's origin is unknown.
 
-    A pose in its binding needs no origin, except after a restart of the autopilot: then its frame starts
-    anew, and the pose moves with the origin once that is known.
+    A pose in its binding needs no origin, except after a restart of the autopilot: then its frame has a new
+    origin, and the pose moves with it once it is known.
     """
     local: Frame | None = placement.pose
     moved = state.origin_moved

@@ -14,7 +14,7 @@ from geographiclib.geodesic import Geodesic
 
 from lfield.driver import Origin, Vector
 
-__all__ = ["EARTH_RADIUS", "Place", "Vector", "onto", "round_from"]
+__all__ = ["EARTH_RADIUS", "Place", "Vector", "geodesic_offset", "geodesic_position"]
 
 #: The Earth's equatorial radius in metres (WGS 84).
 EARTH_RADIUS = 6378137.0
@@ -38,42 +38,42 @@ class Place:
             return None
         return cls(latitude / 1e7, longitude / 1e7, altitude / 1000.0)
 
-    def to(self, other: Place, radius: float = EARTH_RADIUS) -> Vector:
-        """The vector from here to there, in metres."""
+    def vector_to(self, other: Place, radius: float = EARTH_RADIUS) -> Vector:
+        """The vector to another position, in metres."""
         north = math.radians(other.latitude - self.latitude) * radius
         # The shortest difference, also across the date line.
         degrees = math.remainder(other.longitude - self.longitude, 360.0)
         east = math.radians(degrees) * radius * _shrink(self.latitude, other.latitude)
         return (north, east, self.altitude - other.altitude)
 
-    def shifted(self, way: Vector, radius: float = EARTH_RADIUS) -> Place:
-        """The position at the end of a vector from here."""
-        north, east, down = way
+    def shifted(self, vector: Vector, radius: float = EARTH_RADIUS) -> Place:
+        """The position at the end of a vector that starts at this one."""
+        north, east, down = vector
         latitude = self.latitude + math.degrees(north / radius)
         shrink = _shrink(self.latitude, latitude)
         longitude = self.longitude + math.degrees(east / (radius * shrink))
         return Place(latitude, math.remainder(longitude, 360.0), self.altitude - down)
 
 
-def onto(origin: Origin | Place, place: Place) -> Vector:
+def geodesic_offset(origin: Origin | Place, place: Place) -> Vector:
     """Metres north and east of an origin along the geodesic, and the turn of north in radians.
 
     The turn is how far north at `place` is rotated clockwise against north at the origin.
     """
-    found = Geodesic.WGS84.Inverse(origin.latitude, origin.longitude, place.latitude, place.longitude)
-    there, far = math.radians(found["azi1"]), found["s12"]
-    turn = math.remainder(there - math.radians(found["azi2"]), math.tau)
-    return (far * math.cos(there), far * math.sin(there), turn)
+    inverse = Geodesic.WGS84.Inverse(origin.latitude, origin.longitude, place.latitude, place.longitude)
+    azimuth, distance = math.radians(inverse["azi1"]), inverse["s12"]
+    turn = math.remainder(azimuth - math.radians(inverse["azi2"]), math.tau)
+    return (distance * math.cos(azimuth), distance * math.sin(azimuth), turn)
 
 
-def round_from(origin: Origin | Place, north: float, east: float) -> tuple[float, float]:
+def geodesic_position(origin: Origin | Place, north: float, east: float) -> tuple[float, float]:
     """Latitude and longitude of a position given in metres north and east of an origin: the inverse of
-    `onto`.
+    `geodesic_offset`.
     """
     bearing = math.degrees(math.atan2(east, north))
-    far = math.hypot(north, east)
-    found = Geodesic.WGS84.Direct(origin.latitude, origin.longitude, bearing, far)
-    return (found["lat2"], found["lon2"])
+    distance = math.hypot(north, east)
+    direct = Geodesic.WGS84.Direct(origin.latitude, origin.longitude, bearing, distance)
+    return (direct["lat2"], direct["lon2"])
 
 
 def _shrink(a: float, b: float) -> float:

@@ -43,7 +43,7 @@ class _LimitState:
     is_logged: bool = False
     corrected: bool = False
     #: The time since which the value is within its limit after a correction.
-    well_since: float | None = None
+    within_since: float | None = None
 
 
 class LimitEnforcer:
@@ -64,105 +64,105 @@ class LimitEnforcer:
     async def run(self) -> None:
         """Corrects excesses until cancelled."""
         while True:
-            name, exceeded = await self._tasks.get()
-            kept = self._limits[name]
+            name, is_exceeded = await self._tasks.get()
+            state = self._limits[name]
             try:
-                if exceeded:
-                    await self._correct(name, kept)
-                elif not kept.corrected:
+                if is_exceeded:
+                    await self._correct(name, state)
+                elif not state.corrected:
                     await self._speed_up()
             except DeviceError as error:
                 self._vehicle.note(log_messages.LIMIT_NOT_CORRECTED.line(quantity=name, reason=error.reason))
-            kept.watch.on_correction_sent(self._vehicle.clock.monotonic())
+            state.watch.on_correction_sent(self._vehicle.clock.monotonic())
 
     # -- watching ---------------------------------------------------------------------------------------
 
     def _on_position(self, _: object) -> None:
         now = self._vehicle.clock.monotonic()
-        for name, kept in self._limits.items():
-            watched = self._state.armed and not self._vehicle.quiet
-            sample = self._sample(name, kept) if watched else None
+        for name, state in self._limits.items():
+            is_watched = self._state.armed and not self._vehicle.is_quiet
+            sample = self._sample(name, state) if is_watched else None
             if sample is None:
-                kept.watch.reset()
-                kept.is_logged = kept.corrected = False
-                kept.well_since = None
+                state.watch.reset()
+                state.is_logged = state.corrected = False
+                state.within_since = None
                 continue
-            kept.value, excess = sample
-            verdict = kept.watch.sample(kept.value, excess, now)
+            state.value, excess = sample
+            verdict = state.watch.sample(state.value, excess, now)
             if verdict is Verdict.WITHIN:
-                kept.is_logged = kept.corrected = False
-                kept.well_since = now if name == "speed" else None
+                state.is_logged = state.corrected = False
+                state.within_since = now if name == "speed" else None
                 self._vehicle.note(log_messages.LIMIT_KEPT.line(limit=self._limit(name)))
             elif verdict is not None:
-                kept.well_since = None
-                self._act(name, kept, now)
-            elif kept.well_since is not None and now - kept.well_since >= kept.watch.time:
-                kept.well_since = None
+                state.within_since = None
+                self._act(name, state, now)
+            elif state.within_since is not None and now - state.within_since >= state.watch.time:
+                state.within_since = None
                 self._tasks.put_nowait((name, False))
 
-    def _sample(self, name: str, kept: _LimitState) -> tuple[float, float] | None:
+    def _sample(self, name: str, state: _LimitState) -> tuple[float, float] | None:
         """A value and its excess, for `LimitWatch`; None if it does not apply."""
         position, (north, east, down) = self._state.position, self._state.velocity
         if name != "altitude" and self._motion.monitor.is_blind:
             return None  # the estimator drifts at rest
         if name == "speed":
             speed = math.hypot(north, east)
-            return speed, speed - kept.watch.bound
+            return speed, speed - state.watch.bound
         if position is None or not self._state.knows_frames:
             return None
         if name == "altitude":
             return (-position[2], -down) if self._vehicle.profile.flies else None
-        far = math.hypot(*position[:2])
-        return far, (position[0] * north + position[1] * east) / far if far else 0.0
+        distance = math.hypot(*position[:2])
+        return distance, (position[0] * north + position[1] * east) / distance if distance else 0.0
 
-    def _act(self, name: str, kept: _LimitState, now: float) -> None:
+    def _act(self, name: str, state: _LimitState, now: float) -> None:
         """Handles a limit that is exceeded, or still is after a correction."""
-        if why := self._exempt_reason(name):
-            kept.watch.on_correction_sent(now)
-            if not kept.is_logged:
-                excess = self._describe(name, kept)
-                self._vehicle.note(log_messages.LIMIT_EXEMPT.line(excess=excess, reason=why))
-        elif not kept.corrected:
-            kept.corrected = True
-            again = " for the rest of this motion" if self._motion.speed.was_slowed else ""
-            correction = f"commanded to be slower{again}" if name == "speed" else "holding"
-            excess = self._describe(name, kept)
+        if reason := self._exempt_reason(name):
+            state.watch.on_correction_sent(now)
+            if not state.is_logged:
+                excess = self._describe(name, state)
+                self._vehicle.note(log_messages.LIMIT_EXEMPT.line(excess=excess, reason=reason))
+        elif not state.corrected:
+            state.corrected = True
+            suffix = " for the rest of this motion" if self._motion.speed.was_slowed else ""
+            correction = f"commanded to be slower{suffix}" if name == "speed" else "holding"
+            excess = self._describe(name, state)
             self._vehicle.note(log_messages.LIMIT_EXCEEDED.line(excess=excess, correction=correction))
             self._tasks.put_nowait((name, True))
         else:
-            self._vehicle.breach(f"{self._describe(name, kept)}, and corrections had no effect")
-        kept.is_logged = True
+            self._vehicle.breach(f"{self._describe(name, state)}, and corrections had no effect")
+        state.is_logged = True
 
     def _exempt_reason(self, name: str) -> str:
         """The reason why an excess is not corrected; '' when it is."""
         mode = self._state.mode
-        if not self._motion.ours:
+        if not self._motion.is_ours:
             return f"since a pilot or a failsafe controls it in {mode}"
-        on_its_way = mode in self._vehicle.profile.fallbacks and mode != self._vehicle.profile.hold
-        if name != "speed" and on_its_way:
+        is_retreating = mode in self._vehicle.profile.fallbacks and mode != self._vehicle.profile.hold
+        if name != "speed" and is_retreating:
             return f"since it is in {mode}, which is safer"
         return ""
 
     # -- correcting -------------------------------------------------------------------------------------
 
-    async def _correct(self, name: str, kept: _LimitState) -> None:
+    async def _correct(self, name: str, state: _LimitState) -> None:
         """Corrects by the autopilot's own means. Raises DeviceError."""
-        why = self._describe(name, kept)
+        reason = self._describe(name, state)
         if name == "speed":
             # Lower by as much as the vehicle is too fast: some autopilots exceed a commanded speed by half.
-            await self._motion.slow_down(kept.limit * max(kept.limit / kept.value, LEAST), why)
+            await self._motion.slow_down(state.limit * max(state.limit / state.value, LEAST), reason)
         else:
-            await self._motion.halt(why)
+            await self._motion.halt(reason)
 
     async def _speed_up(self) -> None:
         """Restores the original speed if the corrected motion is still running."""
-        speed = self._motion.speed.faster
-        if speed is not None and self._state.armed and self._motion.ours:
+        speed = self._motion.speed.speed_to_restore
+        if speed is not None and self._state.armed and self._motion.is_ours:
             self._vehicle.note(log_messages.SPEED_RESTORED.line(speed=speed))
             await self._motion.speed.speed_up(speed)
 
-    def _describe(self, name: str, kept: _LimitState) -> str:
-        return f"{_FORMATS[name].format(kept.value)}, beyond its limit of {self._limit(name)}"
+    def _describe(self, name: str, state: _LimitState) -> str:
+        return f"{_FORMATS[name].format(state.value)}, beyond its limit of {self._limit(name)}"
 
     def _limit(self, name: str) -> str:
         return f"{self._limits[name].limit:g} {_UNITS[name]}"

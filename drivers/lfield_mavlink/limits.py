@@ -26,10 +26,10 @@ BRAKES = 2.0
 
 
 class Verdict(Enum):
-    """The result for a value: to be corrected, not correctable, or within its limit again."""
+    """The result for a value: correction required, correction failed, or within its limit again."""
 
     CORRECT = auto()
-    HELPLESS = auto()
+    FAILED = auto()
     WITHIN = auto()
 
 
@@ -75,9 +75,9 @@ class LimitWatch:
         self._beyond_since = self._correction = None
 
     def _within(self) -> Verdict | None:
-        corrected = self._correction is not None
+        was_corrected = self._correction is not None
         self.reset()
-        return Verdict.WITHIN if corrected else None
+        return Verdict.WITHIN if was_corrected else None
 
     def _check_correction(self, correction: _Correction, excess: float, now: float) -> Verdict | None:
         if excess <= self.still:
@@ -90,25 +90,25 @@ class LimitWatch:
         if not has_failed:
             return None
         self._correction = _Correction(now, now, excess)
-        return Verdict.HELPLESS
+        return Verdict.FAILED
 
 
 class _Correction:
     """The excess after a correction: decreasing, possibly after an initial increase.
 
-    `less_at` is when it last decreased, initially when it may have begun to.
+    `less_at` is the time when it last decreased, initially the time from which it may decrease.
     """
 
     def __init__(self, now: float, less_at: float, excess: float) -> None:
         self.started_at, self.less_at = now, less_at
-        self._least, self._turned = excess, False
+        self._minimum, self._has_decreased = excess, False
 
     def sample(self, excess: float, now: float) -> None:
         """Records a new minimum."""
-        if excess <= self._least - LESS:
-            self._least, self._turned, self.less_at = excess, True, now
-        elif not self._turned:
-            self._least = max(self._least, excess)
+        if excess <= self._minimum - LESS:
+            self._minimum, self._has_decreased, self.less_at = excess, True, now
+        elif not self._has_decreased:
+            self._minimum = max(self._minimum, excess)
 
 
 class Limits:
@@ -148,27 +148,27 @@ class Limits:
         """Whether the horizontal speed is limited."""
         return self._speed < math.inf
 
-    def check_goal(self, what: str, goal: Vector, extent: float = 0.0) -> None:
+    def check_goal(self, subject: str, goal: Vector, extent: float = 0.0) -> None:
         """Refuses a goal that is not finite or is beyond the limits. Raises DeviceError.
 
         `extent` is the radius in metres of a circle around the goal.
         """
         north, east, down = goal
         if not all(map(math.isfinite, goal)):
-            raise self._error(f"{what} requires finite numbers")
+            raise self._error(f"{subject} requires finite numbers")
         if -down > self._altitude + ROUNDED_HEIGHT:
-            raise self._error(f"{what} refused: {-down:g} m is above the limit of {self._altitude:g} m")
-        far = math.hypot(north, east) + extent
-        if far > self._radius + ROUNDED_PLACE:
+            raise self._error(f"{subject} refused: {-down:g} m is above the limit of {self._altitude:g} m")
+        distance = math.hypot(north, east) + extent
+        if distance > self._radius + ROUNDED_PLACE:
             raise self._error(
-                f"{what} refused: {far:.1f} m from home is beyond the limit of {self._radius:g} m"
+                f"{subject} refused: {distance:.1f} m from home is beyond the limit of {self._radius:g} m"
             )
 
-    def check_return(self, what: str, height: float, parameter: str) -> None:
+    def check_return(self, subject: str, height: float, parameter: str) -> None:
         """Refuses a return whose height, set by a parameter, is above the limit. Raises DeviceError."""
         if height > self._altitude + ROUNDED_HEIGHT:
             raise self._error(
-                f"{what} refused: it would climb to {height:g} m ({parameter}), above the limit of "
+                f"{subject} refused: it would climb to {height:g} m ({parameter}), above the limit of "
                 f"{self._altitude:g} m; reduce {parameter}, or use goTo and land"
             )
 
@@ -176,12 +176,12 @@ class Limits:
     def bounds_heights(self) -> bool:
         return self._altitude < math.inf
 
-    def check_speed(self, what: str, speed: float) -> None:
+    def check_speed(self, subject: str, speed: float) -> None:
         """Refuses a horizontal speed above the limit. Raises DeviceError."""
         if not (math.isfinite(speed) and speed <= self._speed * (1.0 + ROUNDED_SPEED)):
-            raise self._error(f"{what} of {speed:g} m/s is above the limit of {self._speed:g} m/s")
+            raise self._error(f"{subject} of {speed:g} m/s is above the limit of {self._speed:g} m/s")
 
-    def check_way_out(self, place: Vector | None, velocity: Vector) -> None:
+    def check_velocity(self, place: Vector | None, velocity: Vector) -> None:
         """Refuses a velocity that leaves the limits within its time-to-live plus braking, or leads farther
         out.
 
@@ -189,9 +189,9 @@ class Limits:
         """
         if place is None:
             return
-        lasts = self._ttl + math.hypot(*velocity) / (2.0 * BRAKES)
-        ahead = tuple(p + v * lasts for p, v in zip(place, velocity, strict=True))
-        if math.hypot(*ahead[:2]) > max(self._radius, math.hypot(*place[:2])):
+        duration = self._ttl + math.hypot(*velocity) / (2.0 * BRAKES)
+        end = tuple(p + v * duration for p, v in zip(place, velocity, strict=True))
+        if math.hypot(*end[:2]) > max(self._radius, math.hypot(*place[:2])):
             raise self._error(f"setVelocity refused: it leads beyond the limit of {self._radius:g} m")
-        if -ahead[2] > max(self._altitude, -place[2]):
+        if -end[2] > max(self._altitude, -place[2]):
             raise self._error(f"setVelocity refused: it leads above the limit of {self._altitude:g} m")

@@ -20,7 +20,7 @@ SETUP_FAILED = LogMessage(
 )
 SIGNING_NOT_STORED = LogMessage(
     "mavlink-signing-not-stored",
-    "signing time not stored: {reason}; after a restart the vehicle may ignore packets for a while",
+    "signing time not stored: {reason}; after a restart the vehicle may ignore packets temporarily",
     "warning",
 )
 ADDRESS_CHANGED = LogMessage("mavlink-address-changed", "address changed to {new}, from {old}")
@@ -45,7 +45,7 @@ FOREIGN_COMPONENT = LogMessage(
 SAME_VEHICLE = LogMessage("mavlink-same-vehicle", "same vehicle as before, after {reason}: {comparison}")
 OTHER_VEHICLE = LogMessage("mavlink-other-vehicle", "commands refused: {reason}", "error")
 
-# --- what the autopilot reports -------------------------------------------------------------------------
+# --- reports of the autopilot ---------------------------------------------------------------------------
 
 AUTOPILOT_TEXT = LogMessage(
     "mavlink-autopilot-text", "autopilot: {text}", "warning", "a STATUSTEXT of severity warning or higher"

@@ -73,12 +73,12 @@ class PlanFlight:
             if finding.is_error and not (is_flying and finding.code == _NEEDS_TAKEOFF)
         ]
         if errors:
-            more = f"; and {len(errors) - 1} more" if errors[1:] else ""
-            raise self._vehicle.error(f"flyPlan refused: {file.file}: {errors[0].text}{more}")
+            suffix = f"; and {len(errors) - 1} more" if errors[1:] else ""
+            raise self._vehicle.error(f"flyPlan refused: {file.file}: {errors[0].text}{suffix}")
 
     async def _wait(self, last: int) -> None:
         """Returns when the mission with this last command is complete. Raises DeviceError."""
-        profile, started = self._vehicle.profile, self._vehicle.clock.monotonic()
+        profile, start = self._vehicle.profile, self._vehicle.clock.monotonic()
         modes = {profile.mission, *((profile.home, profile.land) if last == RETURN else ())}
         if profile.px4:
             # The vehicle leaves the mode when the mission is complete.
@@ -87,16 +87,20 @@ class PlanFlight:
         flight = Order(frozenset(modes), command=Command(dialect.MAV_CMD_MISSION_START))
         # A return has no destination that a failsafe could prevent.
         end = Order(frozenset(modes))
-        lands = profile.flies and last in (RETURN, *LANDINGS)
+        ends_on_ground = profile.flies and last in (RETURN, *LANDINGS)
 
         def is_complete() -> bool:
-            return self._missions.is_complete(started)
+            return self._missions.is_complete(start)
 
-        while not (is_complete() and not (lands and self._state.armed)):
+        while not (is_complete() and not (ends_on_ground and self._state.armed)):
             self._vehicle.check_link()
-            if lands and not self._state.armed and await self._vehicle.wait_for(is_complete, REPORTED):
+            if (
+                ends_on_ground
+                and not self._state.armed
+                and await self._vehicle.wait_for(is_complete, REPORTED)
+            ):
                 return
-            await self._motion.check_underway("flyPlan", end if is_complete() else flight, started)
+            await self._motion.check_underway("flyPlan", end if is_complete() else flight, start)
             await self._vehicle.wait_message(PERIOD)
 
 

@@ -32,8 +32,8 @@ class SettingStore:
         """The present values; unknown names are left out. Raises DeviceError."""
         requested = list(names)
         if len(requested) > FEW:
-            found = await self._parameters.read_all()
-            return {name: float(found[name]) for name in requested if name in found}
+            stored = await self._parameters.read_all()
+            return {name: float(stored[name]) for name in requested if name in stored}
         values = [(name, await self._parameters.read(name)) for name in requested]
         return {name: float(value) for name, value in values if value is not None}
 
@@ -44,33 +44,33 @@ class SettingStore:
         content = read_parameters(file, data)
         present = await self._parameters.read_all()
         unknown = [name for name in content.values if name not in present]
-        kept = {*own_values(self._vehicle.profile.autopilot, content.values), *content.read_only}
+        excluded = {*own_values(self._vehicle.profile.autopilot, content.values), *content.read_only}
         changes = [
             SettingChange(name, float(present[name]), value)
             for name, value in content.values.items()
-            if name in present and name not in kept and not is_same_value(float(present[name]), value)
+            if name in present and name not in excluded and not is_same_value(float(present[name]), value)
         ]
         foreign = list(self._foreign(content, unknown))
-        refusals = foreign or [each async for each in self._refusals(changes, present)]
+        refusals = foreign or [refusal async for refusal in self._refusals(changes, present)]
         names = [change.name for change in changes]
         return SettingsComparison(
             tuple(changes),
             tuple(unknown),
-            tuple(name for name in content.values if name in kept and name in present),
+            tuple(name for name in content.values if name in excluded and name in present),
             tuple(refusals),
             tuple(effective_after_restart(self._vehicle.profile.autopilot, names)),
         )
 
     def _foreign(self, content: ParameterFile, unknown: list[str]) -> Iterator[str]:
         profile = self._vehicle.profile
-        mine = f"{profile.stack} {profile.kind}"
+        own_type = f"{profile.stack} {profile.kind}"
         if content.firmware and FIRMWARES[content.firmware] != profile.autopilot:
-            yield f"the file is of {STACKS[FIRMWARES[content.firmware]]}, and the vehicle is an {mine}"
+            yield f"the file is of {STACKS[FIRMWARES[content.firmware]]}, and the vehicle is an {own_type}"
         if content.kind and content.kind != profile.kind:
-            yield f"the file is of a {content.kind}, and the vehicle is an {mine}"
+            yield f"the file is of a {content.kind}, and the vehicle is an {own_type}"
         if len(unknown) > FOREIGN * len(content.values):
             count, first = f"{len(unknown)} of its {len(content.values)} names", ", ".join(unknown[:3])
-            yield f"{count} are unknown to this {mine} ({first}): another firmware or kind of vehicle"
+            yield f"{count} are unknown to this {own_type} ({first}): another firmware or kind of vehicle"
 
     async def _refusals(
         self, changes: list[SettingChange], present: Mapping[str, float]

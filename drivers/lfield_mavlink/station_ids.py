@@ -24,17 +24,17 @@ def station_of(binding: DeviceBinding) -> int:
 
     Defaults never coincide for two vehicles, nor with the vehicle itself: 1 has 128, 2 has 129, 128 has 1.
     """
-    given: int = binding.option("station")
+    configured: int = binding.option("station")
     system: int = binding.option("system")
-    return given or (system - 1 + IDS // 2) % IDS + 1
+    return configured or (system - 1 + IDS // 2) % IDS + 1
 
 
 def check_stations(bindings: Sequence[DeviceBinding]) -> None:
     """Refuses stations whose id is a vehicle's or another station's on the same network. Raises
     DeviceError.
     """
-    for binding, why in station_conflicts(bindings):
-        raise DeviceError(binding.field, why)
+    for binding, reason in station_conflicts(bindings):
+        raise DeviceError(binding.field, reason)
 
 
 def station_conflicts(bindings: Sequence[DeviceBinding]) -> Iterator[tuple[DeviceBinding, str]]:
@@ -52,9 +52,9 @@ def station_conflicts(bindings: Sequence[DeviceBinding]) -> Iterator[tuple[Devic
         station = station_of(binding)
         other = stations.setdefault(station, binding)
         if vehicle := vehicles.get(station):
-            whose = "itself" if binding.option("system") == station else vehicle.name
+            owner = "itself" if binding.option("system") == station else vehicle.name
             yield (
-                binding, f"its station has the system id {station}, which belongs to {whose}; {_CHOOSE}"
+                binding, f"its station has the system id {station}, which belongs to {owner}; {_CHOOSE}"
             )  # fmt: skip
         elif other.option("system") != binding.option("system"):
             yield (
@@ -66,6 +66,6 @@ def station_conflicts(bindings: Sequence[DeviceBinding]) -> Iterator[tuple[Devic
 
 def station_conflict_text(message: Any) -> str:
     """Describes another sender with the id of a station, from its heartbeat."""
-    who = f"system {message.get_srcSystem()}, component {message.get_srcComponent()}"
-    why = "its failsafe would not notice when this computer fails"
-    return f"{who} on its links has the id of its station: {why}; {_CHOOSE}"
+    sender = f"system {message.get_srcSystem()}, component {message.get_srcComponent()}"
+    consequence = "its failsafe would not notice when this computer fails"
+    return f"{sender} on its links has the id of its station: {consequence}; {_CHOOSE}"

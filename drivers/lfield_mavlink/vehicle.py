@@ -56,19 +56,19 @@ from lfield_mavlink.watchdog import Watchdog
 #: Seconds within which two vehicles with one system id are detected.
 SETTLES = 6.0
 #: Requests for the unique id before the vehicle is armed, and seconds for a second answer.
-ASKED, SECOND = 2, 0.2
+BOARD_REQUESTS, SECOND = 2, 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class LinkViews:
     """Data of the links of a vehicle.
 
-    `counts` returns the counters of their readers, `why_silent` a possible reason for silence, and `others`
-    another station that commands it, if known; `sources` are the addresses that it sends from.
+    `counts` returns the counters of their readers, `silence_reason` a possible reason for silence, and
+    `others` another station that commands it, if known; `sources` are the addresses that it sends from.
     """
 
     counts: Callable[[], LinkCounts] = LinkCounts
-    why_silent: Callable[[], str] = lambda: ""
+    silence_reason: Callable[[], str] = lambda: ""
     sources: Sources | None = None
     others: Callable[[], str] = lambda: ""
 
@@ -90,8 +90,8 @@ class MavlinkVehicle(Contact):
     ) -> None:
         super().__init__(binding, manifest, clock, reports, send)
         links = links or LinkViews()
-        self._why_silent, self._sources = links.why_silent, links.sources
-        self._moves = 0
+        self._silence_reason, self._sources = links.silence_reason, links.sources
+        self._handled_moves = 0
         self._streams, self._health = TelemetryStreams(self), LinkHealth(self, links.counts)
         self._version = AutopilotVersion(self)
         self._identity = Identity(self, self._version.renew, lambda: (self.state.autopilot, self.state.type))
@@ -105,9 +105,9 @@ class MavlinkVehicle(Contact):
         readiness = Readiness(self, self.motion)
         returns = Returns(self, limits, self.parameters, self.plans)
         self._flight = Flight(self, self.motion, limits, readiness, self.parameters, returns)
-        self._rest = StandstillCheck(self, self.motion)
-        self._keeper = LimitEnforcer(self, self.motion)
-        self._nature = VehicleFacts(self, self.parameters, self.motion.fence, binding)
+        self._standstill = StandstillCheck(self, self.motion)
+        self._limit_enforcer = LimitEnforcer(self, self.motion)
+        self._facts = VehicleFacts(self, self.parameters, self.motion.fence, binding)
         self._guidance = Guidance(self, self.motion, limits)
         self._missions = Missions(self, self.motion, limits, self.plans, returns)
         fences = Fences(self, self.plans, self.parameters)
@@ -163,8 +163,8 @@ class MavlinkVehicle(Contact):
             return
         while self._sources.events:
             self.note(self._sources.events.pop(0))
-        if self._sources.moves != self._moves:
-            self._moves = self._sources.moves
+        if self._sources.moves != self._handled_moves:
+            self._handled_moves = self._sources.moves
             self._reconnected("a change of its address")
 
     def on_other_source(self) -> None:
@@ -206,7 +206,7 @@ class MavlinkVehicle(Contact):
         sources, now = self._sources, self.clock.monotonic
         if sources is not None and not await self.wait_for(lambda: sources.is_settled(now()), SETTLES):
             raise self.error("whether another vehicle has its system id is not known yet; try again")
-        for _ in range(ASKED if sources is not None else 0):
+        for _ in range(BOARD_REQUESTS if sources is not None else 0):
             self._identity.on_version(await self._version.renew())
             if await self.wait_for(lambda: bool(self.conflict), SECOND):
                 break
@@ -219,20 +219,20 @@ class MavlinkVehicle(Contact):
     def is_spare(self, kind: int, sequence: int) -> bool:
         """Whether a message need not be decoded; it counts as received."""
         now = self.clock.monotonic()
-        spare = self._streams.is_spare(kind, now)
-        if spare:
+        is_spare = self._streams.is_spare(kind, now)
+        if is_spare:
             self.heard()
             self._health.count(sequence, now)
-        return spare
+        return is_spare
 
     # -- life cycle -----------------------------------------------------------------------------------
 
     async def _open(self) -> str:
-        patience: float = self.binding.option("connect")
-        if not await self.wait_for(lambda: self.state.heartbeat_at is not None, patience):
+        timeout: float = self.binding.option("connect")
+        if not await self.wait_for(lambda: self.state.heartbeat_at is not None, timeout):
             raise self.error(
-                f"no heartbeat from system {self.system} at {self.binding.endpoint} within {patience:g} s; "
-                f"{self._why_silent()}",
+                f"no heartbeat from system {self.system} at {self.binding.endpoint} within {timeout:g} s; "
+                f"{self._silence_reason()}",
                 timeout=True,
             )
         self.check_identity()
@@ -258,30 +258,30 @@ class MavlinkVehicle(Contact):
             self._identity.run(),
             self._streams.run(),
             self._health.run(),
-            self._keeper.run(),
+            self._limit_enforcer.run(),
             self._missions.run(),
             self.motion.speed.run(),
             self.motion.hover.run(),
             self._guidance.run(),
-            self._nature.run(),
+            self._facts.run(),
             self._camera.run(),
             self.motion.monitor.run(),
         )
 
     async def _watch(self) -> None:
         """Logs loss and recovery of the link; sets the vehicle up again when it is back."""
-        ready = True
+        is_ready = True
         while True:
             await asyncio.sleep(LINK_LOST / 4)
-            silent = self.silence > LINK_LOST
-            if silent != self.lost and self.state.heartbeat_at is not None:
-                self.lost = silent
-                self.note((log_messages.LINK_SILENT if silent else log_messages.LINK_BACK).line())
-                ready = False
-            if not (ready or silent or self.quiet):
-                ready = await self._renewed()
+            is_silent = self.silence > LINK_LOST
+            if is_silent != self.lost and self.state.heartbeat_at is not None:
+                self.lost = is_silent
+                self.note((log_messages.LINK_SILENT if is_silent else log_messages.LINK_BACK).line())
+                is_ready = False
+            if not (is_ready or is_silent or self.is_quiet):
+                is_ready = await self._try_renewal()
 
-    async def _renewed(self) -> bool:
+    async def _try_renewal(self) -> bool:
         if not self._identity.is_certain:
             return False
         try:
@@ -339,10 +339,10 @@ class MavlinkVehicle(Contact):
         return None if placement is None else frame_of(placement, self.state)
 
     def _moving(self) -> str:
-        return self._rest.description()
+        return self._standstill.description()
 
     def _taken_over(self) -> bool:
-        return not self.motion.ours
+        return not self.motion.is_ours
 
     def _guard_restarted(self, was_taken_over: bool) -> None:
         if was_taken_over:

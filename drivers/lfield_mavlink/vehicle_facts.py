@@ -48,7 +48,7 @@ class VehicleFacts:
         """Reads periodically; a missing answer is read the next time."""
         await asyncio.sleep(FIRST_READ_DELAY)
         while True:
-            if not (self._vehicle.lost or self._vehicle.quiet):
+            if not (self._vehicle.lost or self._vehicle.is_quiet):
                 with suppress(DeviceError):
                     await self._read()
             await asyncio.sleep(READ_INTERVAL)

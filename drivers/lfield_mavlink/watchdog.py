@@ -32,75 +32,75 @@ from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.station_ids import station_of
 
 #: Seconds that PX4 needs beyond COM_DL_LOSS_T to detect the loss of its station.
-NOTICES = 2.0
+DETECTION_TIME = 2.0
 #: Seconds after which an ArduPilot rover ends a velocity.
 ROVER_SETPOINT = 3.0
 
 Values = Mapping[str, float]
 #: A value that depends on the binding.
-Chosen = Callable[[DeviceBinding], float]
+FromBinding = Callable[[DeviceBinding], float]
 
 
 @dataclass(frozen=True, slots=True)
 class Need:
     """One parameter that a binding requires.
 
-    `names` are its names by version; without a name it is a fixed time of the autopilot, `otherwise`. It must
+    `names` are its names by version; without a name it is a `fixed_time` of the autopilot. It must
     be `value` (or that of the binding's safe state, or of the binding), or have its bits (`bits`) and none of
-    the bits `lacks`. A time (`clock`) is at most the rest of the permitted time, from `least` to `most`;
-    times of one clock are added, and `after` is what later ones need at least; different clocks run in
-    parallel. A speed (`unit` per m/s) is at most the limit of the binding, and required only with a limit.
-    With `zero`, 0 is permitted like any number below the bound. A parameter that is not `needed` may be
-    missing; it then counts `otherwise` seconds. `states` are the safe states it applies to, by default all; a
-    `whole` time has no fraction of a second.
+    `cleared_bits`. A time (`clock`) is at most the rest of the permitted time, from `minimum` to `maximum`;
+    times of one clock are added, and later ones need at least `after`; different clocks run in parallel. A
+    speed (`unit` per m/s) is at most the limit of the binding, and required only with a limit. With
+    `may_be_zero`, 0 is permitted like any number below the bound. A parameter that is not `required` may be
+    missing; it then counts `fixed_time` seconds. `states` are the safe states to which it applies, by default
+    all; a time with `whole_seconds` has no fraction of a second.
     """
 
     names: tuple[str, ...] = ()
-    why: str = ""
-    value: float | Values | Chosen = 0.0
+    reason: str = ""
+    value: float | Values | FromBinding = 0.0
     bits: bool = False
-    lacks: int = 0
+    cleared_bits: int = 0
     clock: Literal["", "link", "setpoint"] = ""
-    least: float = 0.0
-    most: float = math.inf
+    minimum: float = 0.0
+    maximum: float = math.inf
     after: float = 0.0
-    whole: bool = False
+    whole_seconds: bool = False
     unit: Mapping[str, float] | None = None
-    zero: bool = False
-    needed: bool = True
-    otherwise: float = 0.0
+    may_be_zero: bool = False
+    required: bool = True
+    fixed_time: float = 0.0
     states: tuple[str, ...] = ()
 
-    def suits(self, binding: DeviceBinding) -> bool:
+    def applies_to(self, binding: DeviceBinding) -> bool:
         """Whether the parameter applies to a binding."""
         if self.unit is not None and "speed" not in binding.limits:
             return False
         return not self.states or binding.safe_state in self.states
 
-    def required_value(self, name: str, present: float, binding: DeviceBinding, left: float) -> float:
-        """The required value of a parameter with the value `present`; `left` is the rest of its clock's
-        time.
+    def required_value(self, name: str, present: float, binding: DeviceBinding, remaining: float) -> float:
+        """The required value of a parameter with the value `present`; `remaining` is the rest of its
+        clock's time.
         """
         if self.unit is not None:
-            most = binding.limits["speed"] * self.unit[name]
-            return present if self._is_within(present, most) else 0.0 if self.zero else most
+            maximum = binding.limits["speed"] * self.unit[name]
+            return present if self._is_within(present, maximum) else 0.0 if self.may_be_zero else maximum
         if self.clock:
-            most = min(self.most, max(self.least, left - self.after))
-            most = math.floor(most + 1e-6) if self.whole else most
-            return present if self._is_within(present, most) else most
+            maximum = min(self.maximum, max(self.minimum, remaining - self.after))
+            maximum = math.floor(maximum + 1e-6) if self.whole_seconds else maximum
+            return present if self._is_within(present, maximum) else maximum
         value = self.value
         if isinstance(value, Mapping):
             value = value[binding.safe_state]
         elif callable(value):
             value = value(binding)
-        return float((int(present) | int(value)) & ~self.lacks) if self.bits else value
+        return float((int(present) | int(value)) & ~self.cleared_bits) if self.bits else value
 
-    def _is_within(self, present: float, most: float) -> bool:
-        return (present > 0.0 or (self.zero and present == 0.0)) and present <= most * (1.0 + 1e-6)
+    def _is_within(self, present: float, maximum: float) -> bool:
+        return (present > 0.0 or (self.may_be_zero and present == 0.0)) and present <= maximum * (1.0 + 1e-6)
 
 
-_GONE = "its action when this computer fails"
-_SOON = "its time-out for that"
+_FAILURE_ACTION = "its action when this computer fails"
+_TIMEOUT = "its time-out for that"
 _LIMIT = "the speed limit of the binding"
 
 _STATION = Need(
@@ -115,14 +115,14 @@ _NO_OTHERS = Need(
     ("MAV_GCS_SYSID_HI",),
     "heartbeats of other stations in a range of ids do not prevent its failsafe",
     0,
-    needed=False,
+    required=False,
 )
-_SETPOINT = Need(("GUID_TIMEOUT",), "the time-out of a velocity", clock="setpoint", least=0.1)
+_SETPOINT = Need(("GUID_TIMEOUT",), "the time-out of a velocity", clock="setpoint", minimum=0.1)
 
 _COPTER = (
     # Land; brake, or land without a position; return.
-    Need(("FS_GCS_ENABLE",), _GONE, {"land": 5, "hold": 7, "return": 1}),
-    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, most=2.0),
+    Need(("FS_GCS_ENABLE",), _FAILURE_ACTION, {"land": 5, "hold": 7, "return": 1}),
+    Need(("FS_GCS_TIMEOUT",), _TIMEOUT, clock="link", minimum=2.0, maximum=2.0),
     _STATION,
     _NO_OTHERS,
     _SETPOINT,
@@ -132,8 +132,8 @@ _COPTER = (
         "a landing is never turned into a return, and a mission does not continue",
         8,
         bits=True,
-        lacks=2,
-        needed=False,
+        cleared_bits=2,
+        required=False,
     ),
     # In cm/s, from 4.7 on in m/s. Also the speed of a return if its own speed is 0.
     Need(("WP_SPD", "WPNAV_SPEED"), _LIMIT, unit={"WP_SPD": 1.0, "WPNAV_SPEED": 100.0}),
@@ -141,47 +141,53 @@ _COPTER = (
         ("RTL_SPEED_MS", "RTL_SPEED"),
         f"{_LIMIT}, on the way home",
         unit={"RTL_SPEED_MS": 1.0, "RTL_SPEED": 100.0},
-        zero=True,
-        needed=False,
+        may_be_zero=True,
+        required=False,
     ),
 )
 _ROVER = (
-    Need(("FS_GCS_ENABLE",), _GONE, 1),
-    Need(("FS_ACTION",), _GONE, {"land": 2, "hold": 2, "return": 1}),
+    Need(("FS_GCS_ENABLE",), _FAILURE_ACTION, 1),
+    Need(("FS_ACTION",), _FAILURE_ACTION, {"land": 2, "hold": 2, "return": 1}),
     # A rover waits for this after FS_GCS_TIMEOUT; 1 s is the documented minimum.
-    Need(("FS_TIMEOUT",), _SOON, clock="link", least=1.0, most=1.0, after=2.0, needed=False),
-    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, most=2.0),
+    Need(("FS_TIMEOUT",), _TIMEOUT, clock="link", minimum=1.0, maximum=1.0, after=2.0, required=False),
+    Need(("FS_GCS_TIMEOUT",), _TIMEOUT, clock="link", minimum=2.0, maximum=2.0),
     _STATION,
     _NO_OTHERS,
-    Need(clock="setpoint", otherwise=ROVER_SETPOINT),
+    Need(clock="setpoint", fixed_time=ROVER_SETPOINT),
     Need(("WP_SPEED",), _LIMIT, unit={"WP_SPEED": 1.0}),
-    Need(("RTL_SPEED",), f"{_LIMIT}, on the way home", unit={"RTL_SPEED": 1.0}, zero=True, needed=False),
+    Need(
+        ("RTL_SPEED",),
+        f"{_LIMIT}, on the way home",
+        unit={"RTL_SPEED": 1.0},
+        may_be_zero=True,
+        required=False,
+    ),
 )
 _PLANE = (
-    Need(("FS_GCS_ENABL",), _GONE, 1),
-    Need(("FS_LONG_ACTN",), _GONE, 1),
-    Need(("FS_LONG_TIMEOUT",), _SOON, clock="link", least=1.0),
+    Need(("FS_GCS_ENABL",), _FAILURE_ACTION, 1),
+    Need(("FS_LONG_ACTN",), _FAILURE_ACTION, 1),
+    Need(("FS_LONG_TIMEOUT",), _TIMEOUT, clock="link", minimum=1.0),
     _STATION,
     _NO_OTHERS,
 )
 _SUBMARINE = (
     # Surface; hold the depth; surface.
-    Need(("FS_GCS_ENABLE",), _GONE, {"land": 4, "hold": 3, "return": 4}),
-    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, needed=False, otherwise=5.0),
+    Need(("FS_GCS_ENABLE",), _FAILURE_ACTION, {"land": 4, "hold": 3, "return": 4}),
+    Need(("FS_GCS_TIMEOUT",), _TIMEOUT, clock="link", minimum=2.0, required=False, fixed_time=5.0),
     _STATION,
     _NO_OTHERS,
 )
 _PX4 = (
-    Need(("COM_OF_LOSS_T",), "its time-out for setpoints", clock="setpoint", least=0.25, most=1.0),
+    Need(("COM_OF_LOSS_T",), "its time-out for setpoints", clock="setpoint", minimum=0.25, maximum=1.0),
     Need(("COM_OBL_RC_ACT",), "its action when setpoints end", {"land": 4, "hold": 5, "return": 3}),
     # A hover before the action of any failsafe.
     Need(("COM_FAIL_ACT_T",), "no delay before a failsafe acts", 0.0),
     Need(("COM_RC_OVERRIDE",), "a pilot takes over by the sticks in OFFBOARD", 2, bits=True),
-    Need(("COM_DL_LOSS_T",), _SOON, clock="link", least=5.0, after=NOTICES, whole=True),
-    Need(clock="link", otherwise=NOTICES),
-    Need(("NAV_DLL_ACT",), _GONE, {"land": 3, "hold": 1, "return": 2}),
+    Need(("COM_DL_LOSS_T",), _TIMEOUT, clock="link", minimum=5.0, after=DETECTION_TIME, whole_seconds=True),
+    Need(clock="link", fixed_time=DETECTION_TIME),
+    Need(("NAV_DLL_ACT",), _FAILURE_ACTION, {"land": 3, "hold": 1, "return": 2}),
     # Modes in which PX4 ignores the loss of the station: a goal is flown in one of them.
-    Need(("COM_DLL_EXCEPT",), "the action applies to every mode", 0, needed=False),
+    Need(("COM_DLL_EXCEPT",), "the action applies to every mode", 0, required=False),
 )
 #: PX4 permanently lowers the other two once the first is below them: so their old values are backed up too.
 _PX4_COPTER = tuple(
@@ -230,7 +236,7 @@ class Watchdog:
 
     def _needs(self) -> Iterator[Need]:
         profile, binding = self._vehicle.profile, self._vehicle.binding
-        return (need for need in NEEDS[profile.autopilot, profile.kind] if need.suits(binding))
+        return (need for need in NEEDS[profile.autopilot, profile.kind] if need.applies_to(binding))
 
     async def _compare(
         self, longest: float, values: Values = MappingProxyType({})
@@ -240,12 +246,12 @@ class Watchdog:
         parameters = await asyncio.gather(*map(self._read, needs))
         settings, clocks = list[Setting](), dict[str, float]()
         for need, (name, present) in zip(needs, parameters, strict=True):
-            left = longest - clocks.get(need.clock, 0.0)
-            required = need.otherwise
+            remaining = longest - clocks.get(need.clock, 0.0)
+            required = need.fixed_time
             if present is not None:
                 present = values.get(name, present)
-                required = need.required_value(name, present, self._vehicle.binding, left)
-                settings.append(Setting(name, present, required, need.why))
+                required = need.required_value(name, present, self._vehicle.binding, remaining)
+                settings.append(Setting(name, present, required, need.reason))
             if need.clock:
                 clocks[need.clock] = clocks.get(need.clock, 0.0) + required
         return settings, max(clocks.values()) if self._moves_by_itself else clocks["setpoint"]
@@ -263,7 +269,7 @@ class Watchdog:
         if present is not None and math.isfinite(present):
             self._names[need.names] = (name,)
             return name, present
-        if need.needed and need.names:
+        if need.required and need.names:
             raise self._vehicle.error(
                 f"it does not report {' or '.join(names)}: whether it is set up for its binding is unknown",
                 timeout=True,

@@ -23,7 +23,7 @@ class MemoryBus:
         self.sent: list[Frame] = []
         self.device: Callable[[Frame], None] = lambda frame: None
         self.cut = self.full = False
-        self.trouble = ""
+        self.problem_text = ""
 
     def join(
         self, endpoint: str, received: Callable[[Frame], None], note: Callable[[str], None], wire_log: Any

@@ -132,7 +132,7 @@ def test_status_with_a_wrong_counter_or_checksum_is_dropped(bench, steering, bus
         assert b.values["malformed"] == 4
         assert await column.execute("read", ["SteeringStatus.Angle"]) == 0.0
         reasons = (
-            *("counter Counter stands still", "checksum Check is", "counter Counter is 15, beyond 14"),
+            *("counter Counter is not incremented", "checksum Check is", "counter Counter is 15, beyond 14"),
             "6 of 8 bytes: its counter and checksum cannot be checked",
         )
         for reason in reasons:

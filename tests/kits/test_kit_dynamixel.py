@@ -69,7 +69,7 @@ def test_faulty_servos_fail_their_checks(desk, run_kit_on):
         first=lambda: chain.fault("stuck@1=true", "sag@4=10", "dead@3=true"),
         last=lambda: chain.fault("dead@3=false"),
     )
-    assert "something is in the way" in found["stuck", motion].seen
+    assert "an obstacle blocks it" in found["stuck", motion].seen
     assert "it reports" in found["sagging", supply].seen
     assert "servo 3" in found["group", members].seen or "[3]" in found["group", members].seen
     assert found["stuck", supply].outcome == "passed"

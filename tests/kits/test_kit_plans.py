@@ -127,4 +127,4 @@ def test_plan_that_cannot_be_restored_is_not_changed():
 def test_plan_that_was_not_restored_fails_the_check():
     finding = finding_of(MISSION, Vehicle(MISSION, STORED_PLAN, "no_space"))
     assert finding.outcome == "failed"
-    assert finding.seen == "its 2 waypoints were not given back: no room"
+    assert finding.seen == "its 2 waypoints were not restored: no room"

@@ -55,7 +55,7 @@ class MemoryLink:
             for packet in fake.receive(f"link {self.number}", data):
                 self.bench.filter(self, packet)
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         return f"nothing on link {self.number}"
 
     def close(self) -> None:

@@ -61,7 +61,7 @@ def test_faults_are_set_in_a_story_and_at_a_time(desk, fake, servo):
     async def story(servo):
         await servo.call("torque", True)
         fake.fault("stuck=true")
-        with pytest.raises(DeviceError, match="something is in the way"):
+        with pytest.raises(DeviceError, match="an obstacle blocks it"):
             await servo.call("moveTo", servo.query("position") + 1.0)
         desk.at(desk.now + 5.0, lambda: fake.fault("stuck=false", "dead=true"))
         return await servo.reads("age", lambda age: age > 3.0)

@@ -11,7 +11,7 @@ from lfield.driver.network import Attempts
 from lfield_can import log_messages
 from lfield_can.bus.connection import open_connection
 from lfield_can.bus.endpoint import parse_endpoint
-from lfield_can.bus.error_frames import ACTIVE, DIALECTS, OFF, UNKNOWN, ErrorReport, cure, linux_error
+from lfield_can.bus.error_frames import ACTIVE, DIALECTS, OFF, UNKNOWN, ErrorReport, advice, linux_error
 from lfield_can.bus.frames import Frame, Interface, Listener
 from lfield_can.bus.socketcand import open_socketcand
 
@@ -36,25 +36,25 @@ class Bus:
         wire_log: WireLog | None = None,
     ) -> None:
         self.errors = 0
-        self._place, self._wire_log = parse_endpoint(endpoint), wire_log
-        self._channel, self._on_frame = self._place.channel, on_frame
+        self._endpoint, self._wire_log = parse_endpoint(endpoint), wire_log
+        self._channel, self._on_frame = self._endpoint.channel, on_frame
         self._listener = Listener(self._received, self._on_error, self._lost)
         self._note = note
         self._interface: Interface | None = None
         self._reopening: asyncio.Task[None] | None = None
-        self._attempts = Attempts(self._place.text)
-        self._opened_at, self._pause = -math.inf, FIRST_RETRY
+        self._attempts = Attempts(self._endpoint.text)
+        self._opened_at, self._retry_delay = -math.inf, FIRST_RETRY
         self._last_logged = -QUIET_TIME
         self._errors_logged = 0
-        self._read_error = DIALECTS.get(str(self._place.arguments.get("interface")), linux_error)
+        self._read_error = DIALECTS.get(str(self._endpoint.arguments.get("interface")), linux_error)
         #: The state of the controller, and the last error on the wire.
         self._state, self._cause = ACTIVE, ""
 
     async def open(self) -> None:
         """Opens the bus. Raises DeviceError when that is impossible."""
         self._loop = asyncio.get_running_loop()
-        opened = open_socketcand if self._place.server is not None else open_connection
-        self._interface = await opened(self._place, self._listener)
+        open_interface = open_socketcand if self._endpoint.server is not None else open_connection
+        self._interface = await open_interface(self._endpoint, self._listener)
 
     async def close(self) -> None:
         if self._reopening is not None:
@@ -81,7 +81,7 @@ class Bus:
             self._log_frame(frame, is_sent=True)
 
     @property
-    def trouble(self) -> str:
+    def problem_text(self) -> str:
         """The reason why no device may be received: the state of the bus, and its cause if known; '' for
         none.
         """
@@ -91,7 +91,7 @@ class Bus:
 
     def _received(self, frame: Frame) -> None:
         if self._state == OFF:
-            self._enter(ACTIVE)
+            self._set_state(ACTIVE)
         self._log_frame(frame, is_sent=False)
         self._on_frame(frame)
 
@@ -111,7 +111,7 @@ class Bus:
 
     def _error(self, reason: str, *, timeout: bool = False) -> DeviceError:
         kind = "DeviceTimeoutException" if timeout else "DeviceException"
-        return DeviceError("bus", f"{self._place.text}: {reason}", kind=kind)
+        return DeviceError("bus", f"{self._endpoint.text}: {reason}", kind=kind)
 
     def _on_error(self, identifier: int, data: bytes) -> None:
         """Handles an error frame."""
@@ -120,32 +120,32 @@ class Bus:
         self.errors += 1
         report = self._read_error(identifier, data)
         if report.has_cause:
-            self._cause = report.text + cure(report.text)
+            self._cause = report.text + advice(report.text)
         if report.state == OFF or (self._interface is not None and self._interface.is_off):
             self._state = OFF
             self._lost(f"bus off ({self._cause})" if self._cause else "bus off")
         elif report.state not in (UNKNOWN, self._state):
-            self._enter(report.state)
+            self._set_state(report.state)
         else:
             self._log_error(report)
 
-    def _enter(self, state: str) -> None:
+    def _set_state(self, state: str) -> None:
         """Reports a new state of the controller."""
         self._state = state
         if state == ACTIVE:
             self._cause = ""
-            self._note(log_messages.BUS_ACTIVE.line(bus=self._place.text))
+            self._note(log_messages.BUS_ACTIVE.line(bus=self._endpoint.text))
         else:
-            reason = self._cause or "too many errors" + cure("violation")
-            self._note(log_messages.BUS_STATE.line(bus=self._place.text, state=state, reason=reason))
+            reason = self._cause or "too many errors" + advice("violation")
+            self._note(log_messages.BUS_STATE.line(bus=self._endpoint.text, state=state, reason=reason))
 
     def _log_error(self, report: ErrorReport) -> None:
         if self._loop.time() - self._last_logged < QUIET_TIME:
             return
         count = self.errors - self._errors_logged
         self._last_logged, self._errors_logged = self._loop.time(), self.errors
-        reason = report.text + cure(report.text)
-        self._note(log_messages.ERROR_FRAMES.line(count=count, bus=self._place.text, reason=reason))
+        reason = report.text + advice(report.text)
+        self._note(log_messages.ERROR_FRAMES.line(count=count, bus=self._endpoint.text, reason=reason))
 
     # -- loss and recovery ------------------------------------------------------------------------------
 
@@ -158,15 +158,15 @@ class Bus:
         self._log(self._attempts.lost(reason, self._loop.time()))
         self._reopening = self._loop.create_task(self._reopen(interface))
 
-    async def _reopen(self, broken: Interface) -> None:
+    async def _reopen(self, failed: Interface) -> None:
         """Closes the failed interface, then retries until one works."""
-        await broken.close()
+        await failed.close()
         # An interface that is down can be opened, but fails when it is read: keep increasing the pauses.
         if self._loop.time() - self._opened_at > STEADY:
-            self._pause = FIRST_RETRY
+            self._retry_delay = FIRST_RETRY
         while self._interface is None:
-            await asyncio.sleep(self._pause)
-            self._pause = min(2.0 * self._pause, LAST_RETRY)
+            await asyncio.sleep(self._retry_delay)
+            self._retry_delay = min(2.0 * self._retry_delay, LAST_RETRY)
             try:
                 await self.open()
             except DeviceError as error:

@@ -50,22 +50,22 @@ class Job:
     """A frame to send before a deadline; `sent` gets '' or the reason for a failure."""
 
     message: can.Message
-    until: float
+    deadline: float
     sent: Future[str]
 
 
-async def open_connection(place: Endpoint, listener: Listener) -> Connection:
+async def open_connection(endpoint: Endpoint, listener: Listener) -> Connection:
     """Opens an endpoint. Raises DeviceError."""
-    return await asyncio.to_thread(Connection, place, listener, asyncio.get_running_loop())
+    return await asyncio.to_thread(Connection, endpoint, listener, asyncio.get_running_loop())
 
 
-def _opened(place: Endpoint) -> can.BusABC:
+def _open_interface(endpoint: Endpoint) -> can.BusABC:
     """Opens an interface; blocks briefly. Raises DeviceError."""
-    arguments: dict[str, Any] = dict(place.arguments)
+    arguments: dict[str, Any] = dict(endpoint.arguments)
     try:
         return can.Bus(ignore_config=True, **arguments)
     except Exception as error:  # interfaces raise various exceptions, some not of python-can
-        raise DeviceError("endpoint", f"cannot open {place.text}: {_error_text(error)}") from None
+        raise DeviceError("endpoint", f"cannot open {endpoint.text}: {_error_text(error)}") from None
 
 
 def lock_tty(path: str) -> int:
@@ -89,7 +89,7 @@ class Connection:
 
     def __init__(
         self,
-        place: Endpoint,
+        endpoint: Endpoint,
         listener: Listener,
         loop: asyncio.AbstractEventLoop,
         monotonic: Callable[[], float] = time.monotonic,
@@ -101,31 +101,31 @@ class Connection:
         self._wakeup = threading.Event()
         self._closing = threading.Event()
         #: Held while `_closing` is set or a job is queued: after `_closing` is set, no job is queued.
-        self._queueing = threading.Lock()
+        self._queue_lock = threading.Lock()
         self._jobs: queue.Queue[Job | None] = queue.Queue(BACKLOG)
-        self._lock = lock_tty(place.tty) if place.tty else None
+        self._tty_lock = lock_tty(endpoint.tty) if endpoint.tty else None
         try:
-            self._bus = _opened(place)
+            self._bus = _open_interface(endpoint)
         except DeviceError:
             self._unlock()
             raise
-        for work, name in ((self._read, "can-read"), (self._write, "can-write")):
-            threading.Thread(target=work, name=name, daemon=True).start()
+        for target, name in ((self._read, "can-read"), (self._write, "can-write")):
+            threading.Thread(target=target, name=name, daemon=True).start()
 
     async def send(self, frame: Frame) -> str:
         """Sends a frame after all earlier ones; '' when it was sent, or the reason for a failure.
 
         A frame whose sender is cancelled while it is queued is not sent.
         """
-        return await asyncio.wrap_future(self._queued(frame, SEND_TIMEOUT))
+        return await asyncio.wrap_future(self._enqueue(frame, SEND_TIMEOUT))
 
     def post(self, frame: Frame) -> None:
         """Queues a frame; never waits."""
-        self._queued(frame, POST_TIMEOUT)
+        self._enqueue(frame, POST_TIMEOUT)
 
-    def _queued(self, frame: Frame, within: float) -> Future[str]:
-        job = Job(_message(frame), self._monotonic() + within, Future())
-        with self._queueing:
+    def _enqueue(self, frame: Frame, timeout: float) -> Future[str]:
+        job = Job(_message(frame), self._monotonic() + timeout, Future())
+        with self._queue_lock:
             if self._closing.is_set():
                 job.sent.set_result(BUS_LOST)
                 return job.sent
@@ -147,10 +147,10 @@ class Connection:
 
     async def close(self) -> None:
         """Closes the interface."""
-        await asyncio.to_thread(self._shut)
+        await asyncio.to_thread(self._shut_down)
 
-    def _shut(self) -> None:
-        with self._queueing:
+    def _shut_down(self) -> None:
+        with self._queue_lock:
             self._closing.set()
         with suppress(queue.Full):  # otherwise the writer is awake and checks _closing
             self._jobs.put_nowait(None)
@@ -159,9 +159,9 @@ class Connection:
         self._unlock()
 
     def _unlock(self) -> None:
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        if self._tty_lock is not None:
+            os.close(self._tty_lock)
+            self._tty_lock = None
 
     # -- the reading thread -----------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class Connection:
             self._in_loop(self._drain)
 
     def _fail(self, reason: str) -> None:
-        with self._queueing:
+        with self._queue_lock:
             if self._closing.is_set():
                 return
             self._closing.set()
@@ -217,7 +217,7 @@ class Connection:
     def _write(self) -> None:
         while not self._closing.is_set() and (job := self._jobs.get()) is not None:
             if job.sent.set_running_or_notify_cancel():  # False when its sender was cancelled
-                job.sent.set_result(self._sent(job))
+                job.sent.set_result(self._send_job(job))
         # Fail the remaining jobs; later ones find no connection.
         with suppress(queue.Empty):
             while True:
@@ -225,14 +225,14 @@ class Connection:
                 if job is not None and job.sent.set_running_or_notify_cancel():
                     job.sent.set_result(BUS_LOST)
 
-    def _sent(self, job: Job) -> str:
+    def _send_job(self, job: Job) -> str:
         reason = "it was queued for too long"
         while not self._closing.is_set():
-            left = job.until - self._monotonic()
-            if left <= 0.0:
+            remaining = job.deadline - self._monotonic()
+            if remaining <= 0.0:
                 return reason
             try:
-                self._bus.send(job.message, timeout=left)
+                self._bus.send(job.message, timeout=remaining)
                 return ""
             except can.CanError as error:
                 # Usually a full buffer. The reader detects a failed interface.

@@ -55,9 +55,9 @@ def parse_endpoint(text: str) -> Endpoint:
     channel, _, query = rest.partition("?")
     if not colon or not channel:
         raise _syntax_error(text, f"write {SYNTAX}")
-    if interface not in _KNOWN and interface not in (others := _interfaces()):
-        known = ", ".join(sorted({*_KNOWN, *others}))
-        raise _syntax_error(text, f"python-can has no interface '{interface}'; it has {known}")
+    if interface not in _KNOWN and interface not in (interfaces := _interfaces()):
+        names = ", ".join(sorted({*_KNOWN, *interfaces}))
+        raise _syntax_error(text, f"python-can has no interface '{interface}'; it has {names}")
     try:
         pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
     except ValueError:
@@ -115,9 +115,9 @@ def _value(text: str) -> Value:
     """Converts a value: `500000` to a number, `true` to a boolean, others are text."""
     if text in ("true", "false"):
         return text == "true"
-    for kind in (int, float):
+    for convert in (int, float):
         try:
-            return kind(text)
+            return convert(text)
         except ValueError:
             continue
     return text

@@ -16,16 +16,16 @@ ACTIVE, WARNING, PASSIVE, OFF, UNKNOWN = "error active", "error warning", "error
 CLASSES: Mapping[int, str] = {
     0x001: "no answer before the timeout",
     0x002: "lost arbitration",
-    0x004: "controller trouble",
+    0x004: "controller problem",
     0x008: "protocol violation",
-    0x010: "transceiver trouble",
+    0x010: "transceiver problem",
     0x020: "no acknowledgement of a frame",
     0x040: OFF,
     0x080: "bus error",
     0x100: "controller restarted",
 }
 CONTROLLER_CLASS, PROTOCOL_CLASS, TRANSCEIVER_CLASS, OFF_CLASS = 0x004, 0x008, 0x010, 0x040
-#: Classes that say what happened on the wire: a later bus off has this cause.
+#: Classes of events on the wire: a later bus off has this cause.
 _WIRE = 0x0BA
 #: The frame has counters of errors in bytes 6 (send) and 7 (receive).
 _COUNTERS, _RESTARTED = 0x200, 0x100
@@ -65,7 +65,7 @@ TRANSCEIVER: Mapping[int, str] = {
 _PCAN_TYPES: Mapping[int, str] = {1: "single bit", 2: "form", 4: "bit stuffing", 8: "another error"}
 
 #: Advice on what to check, by a part of the text.
-_CURES: Mapping[str, str] = {
+_ADVICE: Mapping[str, str] = {
     "acknowledgement": "check that another node is on and has the same bit rate",
     "shorted": "check the wires",
     "no wire": "check the wires",
@@ -86,7 +86,7 @@ class ErrorReport(NamedTuple):
 
 
 def linux_error(identifier: int, data: bytes) -> ErrorReport:
-    """An error frame of Linux, such as `controller trouble (send buffer full)`."""
+    """An error frame of Linux, such as `controller problem (send buffer full)`."""
     data = data.ljust(8, b"\0")
     details = {
         CONTROLLER_CLASS: [text for bit, (text, _) in CONTROLLER.items() if data[1] & bit],
@@ -98,8 +98,8 @@ def linux_error(identifier: int, data: bytes) -> ErrorReport:
     parts = []
     for bit, meaning in CLASSES.items():
         if identifier & bit:
-            more = ", ".join(details.get(bit, ()))
-            parts.append(f"{meaning} ({more})" if more else meaning)
+            detail = ", ".join(details.get(bit, ()))
+            parts.append(f"{meaning} ({detail})" if detail else meaning)
     text = ", ".join(parts) or "an error of unknown class"
     if identifier & _COUNTERS or any(data[6:8]):
         text += f"; errors counted: {data[6]} sending, {data[7]} receiving"
@@ -120,8 +120,8 @@ def pcan_error(identifier: int, data: bytes) -> ErrorReport:
     data = data.ljust(4, b"\0")
     kind = ", ".join(text for bit, text in _PCAN_TYPES.items() if identifier & bit) or "an unknown type"
     place = f", in the {PLACES[data[1] & 0x1F]}" if data[1] & 0x1F in PLACES else ""
-    way = "receiving" if data[0] else "sending"
-    text = f"protocol violation ({kind} while {way}{place})"
+    direction = "receiving" if data[0] else "sending"
+    text = f"protocol violation ({kind} while {direction}{place})"
     state = PASSIVE if max(data[2], data[3]) >= 128 else WARNING if max(data[2], data[3]) >= 96 else ACTIVE
     return ErrorReport(f"{text}; errors counted: {data[3]} sending, {data[2]} receiving", state, True)
 
@@ -130,6 +130,6 @@ def pcan_error(identifier: int, data: bytes) -> ErrorReport:
 DIALECTS: Mapping[str, Callable[[int, bytes], ErrorReport]] = {"pcan": pcan_error}
 
 
-def cure(text: str) -> str:
+def advice(text: str) -> str:
     """Advice on what to check, as the end of a sentence; '' if unknown."""
-    return next((f"; {what}" for part, what in _CURES.items() if part in text), "")
+    return next((f"; {hint}" for part, hint in _ADVICE.items() if part in text), "")

@@ -31,20 +31,20 @@ LONGEST_DATA = 8
 _lookups: dict[tuple[str, int], Lookup] = {}
 
 
-async def open_socketcand(place: Endpoint, listener: Listener) -> Socketcand:
+async def open_socketcand(endpoint: Endpoint, listener: Listener) -> Socketcand:
     """Connects to a server and opens the bus of an endpoint. Raises DeviceError."""
-    assert place.server is not None
-    lookup = _lookups.setdefault(place.server, Lookup(*place.server, socket.SOCK_STREAM))
+    assert endpoint.server is not None
+    lookup = _lookups.setdefault(endpoint.server, Lookup(*endpoint.server, socket.SOCK_STREAM))
     client = Socketcand(listener)
     try:
         client, _ = await connected(lookup, ANSWER, lambda: Socketcand(listener))
         async with asyncio.timeout(ANSWER):
-            await client.greet(str(place.arguments["channel"]))
+            await client.greet(str(endpoint.arguments["channel"]))
     except OSError as error:
         await client.close()
         # A TimeoutError of asyncio has no text.
         reason = error.strerror or str(error) or f"no greeting within {ANSWER:g} s"
-        raise DeviceError("endpoint", f"cannot open {place.text}: {reason}") from None
+        raise DeviceError("endpoint", f"cannot open {endpoint.text}: {reason}") from None
     return client
 
 

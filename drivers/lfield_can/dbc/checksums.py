@@ -74,8 +74,8 @@ def _nibbles(data: bytes) -> int:
 
 
 def _honda(covered: Covered) -> int:
-    whole = covered.identifier.to_bytes(4, "big") + covered.data
-    return 8 + 3 * covered.extended - _nibbles(whole) & 0xF
+    content = covered.identifier.to_bytes(4, "big") + covered.data
+    return 8 + 3 * covered.extended - _nibbles(content) & 0xF
 
 
 def _toyota(covered: Covered) -> int:

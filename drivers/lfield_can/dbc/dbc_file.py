@@ -59,11 +59,11 @@ class DbcFile:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise DbcError(f"{path} cannot be read: {reason}") from None
-        found = Diagnostics()
-        messages = read_messages(Source(path, decode_text(data)), found)
-        if errors := found.errors:
+        diagnostics = Diagnostics()
+        messages = read_messages(Source(path, decode_text(data)), diagnostics)
+        if errors := diagnostics.errors:
             raise DbcError(f"{path} cannot be read: {_summary(errors)}", errors)
-        self.warnings: Sequence[Diagnostic] = tuple(found.in_order())
+        self.warnings: Sequence[Diagnostic] = tuple(diagnostics.in_order())
         self._by_name = {message.name: message for message in messages}
         self._by_key = {_key(message): message for message in messages}
         self._by_key.update({group_of(m.frame_id): m for m in messages if m.is_j1939})
@@ -75,8 +75,8 @@ class DbcFile:
 
     def key(self, message: str) -> int:
         """The key of the frames of a message, or of its J1939 parameter group. Raises DbcError."""
-        found = self.message(message)
-        return group_of(found.frame_id) if found.is_j1939 else _key(found)
+        definition = self.message(message)
+        return group_of(definition.frame_id) if definition.is_j1939 else _key(definition)
 
     def find(self, frame: Frame) -> Message | None:
         """The message of a frame, or None."""
@@ -92,19 +92,21 @@ class DbcFile:
 
     def signal(self, message: str, name: str) -> Signal:
         """A signal of a message. Raises DbcError."""
-        found = self.message(message)
-        signals = {signal.name: signal for signal in found.signals}
-        if name in found.unusable:
-            raise DbcError(f"{message}.{name} cannot be used: {found.unusable[name]}")
+        definition = self.message(message)
+        signals = {signal.name: signal for signal in definition.signals}
+        if name in definition.unusable:
+            raise DbcError(f"{message}.{name} cannot be used: {definition.unusable[name]}")
         if name not in signals:
             raise DbcError(f"{message} has no signal '{name}'; it has {', '.join(signals) or 'none'}")
         return signals[name]
 
     def reserve(self, message: str, reasons: Mapping[str, str]) -> None:
         """Makes signals of a sent message unusable for programs, for the given reasons. Raises DbcError."""
-        found = self.message(message)
-        kept = [signal for signal in found.signals if signal.name not in reasons]
-        self._by_name[message] = replace(found, signals=kept, unusable={**found.unusable, **reasons})
+        definition = self.message(message)
+        remaining = [signal for signal in definition.signals if signal.name not in reasons]
+        self._by_name[message] = replace(
+            definition, signals=remaining, unusable={**definition.unusable, **reasons}
+        )
 
     def split(self, text: str) -> tuple[str, str]:
         """Splits `Message.Signal` into two known names. Raises DbcError."""
@@ -116,14 +118,14 @@ class DbcFile:
 
     def terms(self, texts: Iterable[str]) -> list[Term]:
         """The terms in options. Raises DbcError."""
-        found = []
+        terms = []
         for text in texts:
             match = _TERM.fullmatch(text)
             if match is None:
                 raise DbcError(f"'{text}' does not have the form Message.Signal=VALUE [within VALUE]")
             self.signal(match[1], match[2])
-            found.append(Term(match[1], match[2], _number(match[3]), _number(match[4] or "0")))
-        return found
+            terms.append(Term(match[1], match[2], _number(match[3]), _number(match[4] or "0")))
+        return terms
 
     def decode(self, frame: Frame) -> tuple[str, dict[str, float]] | None:
         """The message of a frame and its values; None for an unknown frame.
@@ -145,8 +147,8 @@ class DbcFile:
     def encode(self, name: str, values: Mapping[str, float]) -> Frame:
         """A message with these values; of multiplexed signals, the selected ones. Raises DbcError."""
         message = self.message(name)
-        for given in values:
-            self.signal(name, given)
+        for signal_name in values:
+            self.signal(name, signal_name)
         try:
             for signal in message.signals:
                 if signal.name in values:
@@ -162,24 +164,28 @@ class DbcFile:
 
     def selectors(self, message: str, signal: str) -> dict[str, float]:
         """The multiplexer values under which a signal is in its message."""
-        found: dict[str, float] = {}
-        this = self.signal(message, signal)
-        while this.multiplexer_signal and this.multiplexer_ids and this.multiplexer_signal not in found:
-            selector = self.signal(message, this.multiplexer_signal)
-            found[selector.name] = selector.to_physical(this.multiplexer_ids[0].start)
-            this = selector
-        return found
+        values: dict[str, float] = {}
+        selected = self.signal(message, signal)
+        while (
+            selected.multiplexer_signal
+            and selected.multiplexer_ids
+            and selected.multiplexer_signal not in values
+        ):
+            selector = self.signal(message, selected.multiplexer_signal)
+            values[selector.name] = selector.to_physical(selected.multiplexer_ids[0].start)
+            selected = selector
+        return values
 
 
 def _summary(errors: Sequence[Diagnostic]) -> str:
     """The first mistakes of a file with positions and hints, and the number of others."""
-    shown = [
+    texts = [
         f"{error.span.source.name}:{error.span.line}:{error.span.column}: "
         f"error[{error.code}]: {error.message} ({error.hint})"
         for error in errors[:MAX_SHOWN]
     ]
-    more = len(errors) - len(shown)
-    return "; ".join([*shown, f"and {more} more mistakes"] if more else shown)
+    others = len(errors) - len(texts)
+    return "; ".join([*texts, f"and {others} more mistakes"] if others else texts)
 
 
 def _key(message: Message) -> int:

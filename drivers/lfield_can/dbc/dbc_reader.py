@@ -108,7 +108,7 @@ class _Reader:
     def __init__(self, source: Source, found: Diagnostics) -> None:
         self._source, self._found = source, found
         self._drafts: dict[int, _Draft] = {}
-        self._open: _Draft | None = None
+        self._current: _Draft | None = None
         self._is_ignored = False
         self._known = self._unknown = 0
 
@@ -124,7 +124,7 @@ class _Reader:
         if statement.keyword == "SG_":
             self._signal(statement)
             return
-        self._open, self._is_ignored = None, False
+        self._current, self._is_ignored = None, False
         if statement.keyword == "BO_":
             self._message(statement)
         elif statement.keyword == "SIG_VALTYPE_":
@@ -174,7 +174,7 @@ class _Reader:
             self._found.add(findings.NO_NAME.at(span, what=f"message {draft.id}"))
             self._is_ignored = True
             return
-        self._open = draft
+        self._current = draft
         if first := self._drafts.get(draft.id):
             self._report_duplicate("message", draft.name, span, first.span)
         else:
@@ -230,7 +230,7 @@ class _Reader:
                 continue
             self._found.add(finding)
             draft.drop(at, f"{finding.message} ({self._source.name}:{span.line})")
-        self._leave_unselected(draft)
+        self._drop_unselected(draft)
 
     def _with_range(self, signal: Signal, span: Span) -> Signal:
         """A signal with the range in the file, if it contains any value of its bits."""
@@ -242,28 +242,28 @@ class _Reader:
         self._found.add(findings.NO_VALUES.at(span, signal=signal.name, low=f"{low:g}", high=f"{high:g}"))
         return replace(signal, minimum=None, maximum=None)
 
-    def _leave_unselected(self, draft: _Draft) -> None:
+    def _drop_unselected(self, draft: _Draft) -> None:
         """Omits signals whose multiplexer is missing."""
         while True:
             names = {signal.name for signal in draft.signals if signal.is_multiplexer}
-            lost = [
+            unselected = [
                 at
                 for at, signal in enumerate(draft.signals)
                 if signal.multiplexer_signal is not None and signal.multiplexer_signal not in names
             ]
-            if not lost:
+            if not unselected:
                 return
-            signal, span = draft.signals[lost[-1]], draft.spans[lost[-1]]
+            signal, span = draft.signals[unselected[-1]], draft.spans[unselected[-1]]
             finding = findings.NO_MULTIPLEXER.at(
                 span, signal=signal.name, message=draft.name, name=signal.multiplexer_signal
             )
             self._found.add(finding)
-            draft.drop(lost[-1], f"{finding.message} ({self._source.name}:{span.line})")
+            draft.drop(unselected[-1], f"{finding.message} ({self._source.name}:{span.line})")
 
     def _select(self, draft: _Draft) -> None:
         """Simple multiplexing: the one multiplexer selects all marked signals."""
-        plain = [s.name for s in draft.signals if s.is_multiplexer and not s.multiplexer_ids]
-        name = plain[0] if plain else "that selects it"
+        multiplexers = [s.name for s in draft.signals if s.is_multiplexer and not s.multiplexer_ids]
+        name = multiplexers[0] if multiplexers else "that selects it"
         draft.signals = [
             replace(signal, multiplexer_signal=name)
             if signal.multiplexer_ids and signal.multiplexer_signal is None
@@ -278,23 +278,23 @@ class _Reader:
             return
         parts: dict[str, str] = {}
         at = 0
-        for pattern, what in SIGNAL_PARTS:
+        for pattern, expected in SIGNAL_PARTS:
             match = pattern.match(statement.body, at)
             if match is None:
-                self._report_syntax(statement, at, what, SIGNAL_FORM)
+                self._report_syntax(statement, at, expected, SIGNAL_FORM)
                 return
             parts.update({name: text for name, text in match.groupdict().items() if text is not None})
             at = match.end()
         name_at = statement.at + len(statement.body) - len(statement.body.lstrip())
         span = Span(self._source, name_at, name_at + max(1, len(parts["name"])))
-        if self._open is None:
+        if self._current is None:
             self._found.add(findings.STRAY_SIGNAL.at(span, signal=parts["name"]))
         elif not parts["name"]:
-            self._found.add(findings.NO_NAME.at(span, what=f"a signal of {self._open.name}"))
+            self._found.add(findings.NO_NAME.at(span, what=f"a signal of {self._current.name}"))
         else:
-            self._add(self._open, self._made(parts, span), span)
+            self._add(self._current, self._parsed_signal(parts, span), span)
 
-    def _made(self, parts: dict[str, str], span: Span) -> Signal:
+    def _parsed_signal(self, parts: dict[str, str], span: Span) -> Signal:
         name, mark = parts["name"], parts.get("mux", "")
         scale = float(parts["scale"])
         if not scale:
@@ -329,10 +329,10 @@ class _Reader:
             self._found.add(findings.NO_BITS.at(span, signal=signal.name, reason=reason))
             draft.unusable[signal.name] = f"signal {signal.name} has {signal.length} bits"
             return
-        for other, place in zip(draft.signals, draft.spans, strict=True):
+        for other, position in zip(draft.signals, draft.spans, strict=True):
             # In different pages of a multiplexed message one name may have several positions.
             if other.name == signal.name and not (other.multiplexer_ids and signal.multiplexer_ids):
-                self._report_duplicate("signal", signal.name, span, place)
+                self._report_duplicate("signal", signal.name, span, position)
                 return
         draft.signals.append(signal)
         draft.spans.append(span)
@@ -366,29 +366,29 @@ class _Reader:
         draft = self._drafts.get(int(id))
         if draft is None and int(id) & EXTENDED_BITS == 0:
             return  # signals in no message
-        places = [at for at, signal in enumerate(draft.signals) if signal.name == name] if draft else []
-        for at in places:
+        positions = [at for at, signal in enumerate(draft.signals) if signal.name == name] if draft else []
+        for at in positions:
             assert draft is not None
             draft.signals[at] = replace(draft.signals[at], **values)  # type: ignore[arg-type]  # a table of fields
-        if not places and not (draft and name in draft.unusable):
-            what = f"signal {name} of {draft.name}" if draft else f"a message with the id {id}"
+        if not positions and not (draft and name in draft.unusable):
+            subject = f"signal {name} of {draft.name}" if draft else f"a message with the id {id}"
             span = Span(self._source, statement.at - len(statement.keyword), statement.at)
-            self._found.add(findings.MISSING.at(span, statement=statement.keyword, what=what))
+            self._found.add(findings.MISSING.at(span, statement=statement.keyword, what=subject))
 
     # -- findings -----------------------------------------------------------------------------------------
 
-    def _report_syntax(self, statement: Statement, at: int, what: str, form: str) -> None:
+    def _report_syntax(self, statement: Statement, at: int, expected: str, form: str) -> None:
         """Reports a syntax error in a statement; `at` is the number of valid characters."""
         rest = statement.body[at:]
         at += len(rest) - len(rest.lstrip())
         following = statement.body[at:].split(None, 1)[:1]
         start = statement.at + at
-        found = f"'{following[0]}'" if following else "the end of the line"
+        actual = f"'{following[0]}'" if following else "the end of the line"
         span = Span(self._source, start, start + max(1, len(following[0]) if following else 1))
-        self._found.add(findings.SYNTAX.at(span, what=what, found=found, form=form))
+        self._found.add(findings.SYNTAX.at(span, what=expected, found=actual, form=form))
 
-    def _report_duplicate(self, what: str, name: str, span: Span, first: Span) -> None:
-        self._found.add(findings.DUPLICATE.at(span, what=what, name=name, line=first.line))
+    def _report_duplicate(self, kind: str, name: str, span: Span, first: Span) -> None:
+        self._found.add(findings.DUPLICATE.at(span, what=kind, name=name, line=first.line))
 
 
 def _end(text: str) -> float | None:

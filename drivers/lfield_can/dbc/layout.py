@@ -92,7 +92,7 @@ class Signal:
         if not self.is_motorola:
             return bits << self.start, mask << self.start
         shift = 8 * size - self.end
-        return _turned(bits << shift, size), _turned(mask << shift, size)
+        return _swap_byte_order(bits << shift, size), _swap_byte_order(mask << shift, size)
 
     def to_physical(self, raw: int | float) -> float:
         """The value in the unit of the file."""
@@ -102,14 +102,14 @@ class Signal:
         """The nearest raw value. Raises OutOfRange: not finite, outside its range or its bits."""
         if not math.isfinite(value):
             raise OutOfRange(f"{self.name} requires a finite number, not {value}")
-        least, greatest = representable(self)
-        lowest = least if self.minimum is None else max(least, self.minimum)
-        highest = greatest if self.maximum is None else min(greatest, self.maximum)
+        smallest, largest = representable(self)
+        lowest = smallest if self.minimum is None else max(smallest, self.minimum)
+        highest = largest if self.maximum is None else min(largest, self.maximum)
         # The nearest representable value applies at the ends as well. A range end in the file is
         # representable, or rounded to a few digits.
-        below = self._step if lowest == least else self._rounding(lowest)
-        above = self._step if highest == greatest else self._rounding(highest)
-        if not lowest - below <= value <= highest + above:
+        low_tolerance = self._step if lowest == smallest else self._rounding(lowest)
+        high_tolerance = self._step if highest == largest else self._rounding(highest)
+        if not lowest - low_tolerance <= value <= highest + high_tolerance:
             unit = f" {self.unit}" if self.unit else ""
             raise OutOfRange(
                 f"{self.name} cannot be {value:.12g}{unit}: its range is {lowest:.12g} to "
@@ -189,9 +189,9 @@ class Message:
         kind = f"frame 0x{self.frame_id:X}"
         raw = self._raw(data)
         if len(data) < self.length:
-            lost = [s.name for s in self.signals if s.end > 8 * len(data) and _may_be_here(s, raw)]
-            missing = f": signal{'s' * (len(lost) != 1)} {', '.join(lost)} absent" if lost else ""
-            problems.append(f"{kind} has {_bytes(len(data))}, the file specifies {self.length}{missing}")
+            missing = [s.name for s in self.signals if s.end > 8 * len(data) and _may_contain(s, raw)]
+            suffix = f": signal{'s' * (len(missing) != 1)} {', '.join(missing)} absent" if missing else ""
+            problems.append(f"{kind} has {_bytes(len(data))}, the file specifies {self.length}{suffix}")
         for signal in self.signals:
             if signal.is_multiplexer and signal.name in raw and not self._is_known(signal, raw[signal.name]):
                 problems.append(
@@ -217,14 +217,14 @@ class Message:
     @cached_property
     def _in_order(self) -> Sequence[Signal]:
         """The signals, multiplexers before the signals that they select."""
-        done: list[Signal] = []
+        ordered: list[Signal] = []
         names: set[str | None] = {None}
-        left = list(self.signals)
-        while ready := [signal for signal in left if signal.multiplexer_signal in names]:
-            done += ready
-            left = [signal for signal in left if signal.multiplexer_signal not in names]
+        remaining = list(self.signals)
+        while ready := [signal for signal in remaining if signal.multiplexer_signal in names]:
+            ordered += ready
+            remaining = [signal for signal in remaining if signal.multiplexer_signal not in names]
             names.update(signal.name for signal in ready)
-        return tuple(done)
+        return tuple(ordered)
 
     def _raw(self, data: bytes) -> dict[str, int | float]:
         raw: dict[str, int | float] = {}
@@ -239,18 +239,18 @@ class Message:
         return not selected or any(value in ids for s in selected for ids in s.multiplexer_ids)
 
 
-def _may_be_here(signal: Signal, raw: Mapping[str, int | float]) -> bool:
+def _may_contain(signal: Signal, raw: Mapping[str, int | float]) -> bool:
     """Whether a signal is in the message; True if its multiplexer is absent too."""
     return signal.multiplexer_signal not in raw or signal.is_selected(raw)
 
 
-def _turned(bits: int, size: int) -> int:
+def _swap_byte_order(bits: int, size: int) -> int:
     """Converts a number between Motorola and Intel order."""
     return int.from_bytes(bits.to_bytes(size, "big"), "little")
 
 
-def _is_length(size: int, least: int) -> bool:
-    return size >= least and (size <= LONGEST_CLASSIC or size in FD_LENGTHS)
+def _is_length(size: int, minimum: int) -> bool:
+    return size >= minimum and (size <= LONGEST_CLASSIC or size in FD_LENGTHS)
 
 
 def _bytes(count: int) -> str:

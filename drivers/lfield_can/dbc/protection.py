@@ -43,18 +43,18 @@ class Protection:
     def signals(self) -> Mapping[str, str]:
         """The protecting signals, with the reason why a program cannot set them."""
         counter, checksum = self._draft.counter, self._draft.checksum
-        named = {counter.name: "it is the counter"} if counter is not None else {}
+        reasons = {counter.name: "it is the counter"} if counter is not None else {}
         if checksum is not None:
-            named[checksum.name] = "it is the checksum"
-        return {name: f"{reason}, which this driver sets" for name, reason in named.items()}
+            reasons[checksum.name] = "it is the checksum"
+        return {name: f"{reason}, which this driver sets" for name, reason in reasons.items()}
 
     def protected(self, data: bytes) -> bytes:
         """A frame to be sent, with the next counter and its checksum."""
         if self._draft.counter is not None:
-            data = _with(data, self._draft.counter, self._next)
+            data = _with_value(data, self._draft.counter, self._next)
         counter, self._next = self._next, (self._next + 1) % max(1, self._draft.values)
         if self._draft.checksum is not None:
-            data = _with(data, self._draft.checksum, self._sum(data, counter))
+            data = _with_value(data, self._draft.checksum, self._checksum(data, counter))
         return data
 
     def problem(self, data: bytes) -> str:
@@ -67,20 +67,20 @@ class Protection:
             return f"{len(data)} of {self._message.length} bytes: its counter and checksum cannot be checked"
         count = int(counter.extract(data)) if counter is not None else 0
         if checksum is not None:
-            expected, found = self._sum(data, count), int(checksum.extract(data))
-            if expected != found:
-                return f"checksum {checksum.name} is 0x{found:X}, not 0x{expected:X}"
+            expected, received = self._checksum(data, count), int(checksum.extract(data))
+            if expected != received:
+                return f"checksum {checksum.name} is 0x{received:X}, not 0x{expected:X}"
         if counter is None:
             return ""
         if count >= self._draft.values:
             return f"counter {counter.name} is {count}, beyond {self._draft.values - 1}"
         last, self._last = self._last, count
-        return f"counter {counter.name} stands still" if count == last else ""
+        return f"counter {counter.name} is not incremented" if count == last else ""
 
-    def _sum(self, data: bytes, counter: int) -> int:
+    def _checksum(self, data: bytes, counter: int) -> int:
         draft = self._draft
         assert draft.checksum is not None
-        data = _with(data, draft.checksum, 0)[: self._message.length]
+        data = _with_value(data, draft.checksum, 0)[: self._message.length]
         first, end = draft.checksum.first // 8, (draft.checksum.end + 7) // 8
         message = self._message
         covered = Covered(
@@ -103,10 +103,10 @@ def protections(file: DbcFile, counters: Iterable[str], checksums: Iterable[str]
             raise DbcError(f"'{text}' does not have the form Message.Counter or Message.Counter=VALUES")
         draft = drafts.setdefault(match[1], _Draft())
         draft.counter = _integer(file, match[1], match[2], "counter")
-        most = 1 << draft.counter.length
-        draft.values = int(match[3] or most)
-        if not 2 <= draft.values <= most:
-            raise DbcError(f"the counter {match[1]}.{match[2]} has 2 to {most} values, not {draft.values}")
+        maximum = 1 << draft.counter.length
+        draft.values = int(match[3] or maximum)
+        if not 2 <= draft.values <= maximum:
+            raise DbcError(f"the counter {match[1]}.{match[2]} has 2 to {maximum} values, not {draft.values}")
     for text in checksums:
         match = _CHECKSUM.fullmatch(text)
         if match is None or match[3] not in KINDS:
@@ -130,21 +130,23 @@ def _check_kind(name: str, draft: _Draft) -> None:
         raise DbcError(
             f"{name}: the checksum {draft.kind} requires {kind.ids} data ids, not {len(draft.ids)}"
         )
-    if wrong := [number for number in draft.ids if number > kind.highest]:
-        raise DbcError(f"{name}: a data id of {draft.kind} is at most 0x{kind.highest:X}, not 0x{wrong[0]:X}")
+    if invalid := [number for number in draft.ids if number > kind.highest]:
+        raise DbcError(
+            f"{name}: a data id of {draft.kind} is at most 0x{kind.highest:X}, not 0x{invalid[0]:X}"
+        )
     if kind.ids == 16 and draft.counter is None:
         raise DbcError(f"{name}: {draft.kind} selects its data id by the counter; add it to 'counters'")
 
 
-def _integer(file: DbcFile, message: str, name: str, what: str) -> Signal:
+def _integer(file: DbcFile, message: str, name: str, role: str) -> Signal:
     """An unsigned signal outside of pages. Raises DbcError."""
     signal = file.signal(message, name)
     if signal.is_float or signal.is_signed or signal.multiplexer_ids:
-        raise DbcError(f"{message}.{name} cannot be a {what}: it is signed, a float, or multiplexed")
+        raise DbcError(f"{message}.{name} cannot be a {role}: it is signed, a float, or multiplexed")
     return signal
 
 
-def _with(data: bytes, signal: Signal, raw: int) -> bytes:
+def _with_value(data: bytes, signal: Signal, raw: int) -> bytes:
     """A frame with another value of a signal."""
     bits, mask = signal.insert(raw, len(data))
     return (int.from_bytes(data, "little") & ~mask | bits).to_bytes(len(data), "little")

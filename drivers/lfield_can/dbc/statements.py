@@ -80,8 +80,8 @@ class Statement:
     at: int
 
 
-def statements(source: Source, found: Diagnostics) -> Iterator[Statement]:
-    """All statements; other text is reported to `found`."""
+def statements(source: Source, diagnostics: Diagnostics) -> Iterator[Statement]:
+    """All statements; other text is reported to `diagnostics`."""
     text, at = source.text, 0
     while True:
         blank = _BLANK.match(text, at)
@@ -96,28 +96,28 @@ def statements(source: Source, found: Diagnostics) -> Iterator[Statement]:
             at = symbols.end() if symbols else start
             continue
         if keyword in _ENDED:
-            end = _end(source, at, start, found)
+            end = _end(source, at, start, diagnostics)
         else:
             end = text.find("\n", start)
             end = len(text) if end < 0 else end
             if keyword in _LISTS and (match := _NEXT_LINE.search(text, start)):
                 end = match.start()
             elif keyword not in _LINES and keyword != ";":
-                found.add(findings.UNKNOWN.at(Span(source, at, start), keyword=keyword))
+                diagnostics.add(findings.UNKNOWN.at(Span(source, at, start), keyword=keyword))
         yield Statement(keyword, text[start:end], start)
         at = end + 1 if text[end : end + 1] == ";" else end
 
 
-def _end(source: Source, opening: int, start: int, found: Diagnostics) -> int:
+def _end(source: Source, opening: int, start: int, diagnostics: Diagnostics) -> int:
     """The end of a statement that should end with ';'."""
     text, at = source.text, start
     while (match := _NEXT.search(text, at)) and match[0] == '"':
         closed = _CLOSED.search(text, match.end())
         if closed is None:
-            found.add(findings.UNCLOSED_TEXT.at(Span(source, match.start(), match.end())))
+            diagnostics.add(findings.UNCLOSED_TEXT.at(Span(source, match.start(), match.end())))
             return len(text)
         at = closed.end()
     if match and match[0] == ";":
         return match.start()
-    found.add(findings.UNENDED.at(Span(source, opening, start)))
+    diagnostics.add(findings.UNENDED.at(Span(source, opening, start)))
     return match.start() if match else len(text)

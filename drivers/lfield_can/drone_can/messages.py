@@ -109,7 +109,7 @@ def signatures() -> dict[tuple[int, bool], int]:
     return {(each.id, each.is_service): each.signature for each in RECEIVED}
 
 
-def encode(data_type: DataType, values: Mapping[str, float], rest: bytes = b"") -> bytes:
+def encode(data_type: DataType, values: Mapping[str, float], array: bytes = b"") -> bytes:
     """The data of a message; absent fields are 0."""
     bits = size = 0
     for name, form in data_type.fields:
@@ -121,7 +121,7 @@ def encode(data_type: DataType, values: Mapping[str, float], rest: bytes = b"") 
             bits, raw = bits << piece | raw & (1 << piece) - 1, raw >> piece
             length -= piece
     padding = -size % 8
-    return (bits << padding).to_bytes((size + padding) // 8, "big") + rest
+    return (bits << padding).to_bytes((size + padding) // 8, "big") + array
 
 
 def decode(data_type: DataType, data: bytes) -> tuple[Values, bytes] | None:
@@ -130,14 +130,14 @@ def decode(data_type: DataType, data: bytes) -> tuple[Values, bytes] | None:
     count = (size + 7) // 8
     if len(data) < count:
         return None
-    bits, left = int.from_bytes(data[:count], "big"), 8 * count
+    bits, remaining = int.from_bytes(data[:count], "big"), 8 * count
     values: Values = {}
     for name, form in data_type.fields:
         length, raw, shift = int(form[1:]), 0, 0
         while length > 0:
             piece = min(8, length)
-            left -= piece
-            raw |= (bits >> left & (1 << piece) - 1) << shift
+            remaining -= piece
+            raw |= (bits >> remaining & (1 << piece) - 1) << shift
             shift, length = shift + piece, length - piece
         values[name] = _value(form, raw)
     return values, data[count:]

@@ -28,7 +28,7 @@ STATUS_PERIOD = 1.0
 
 
 class NetworkNode(Protocol):
-    """A device on the bus."""
+    """The interface of a device on the bus."""
 
     @property
     def node(self) -> int:
@@ -67,9 +67,9 @@ class DroneCanNetwork:
         self.master = 0
 
     @property
-    def trouble(self) -> str:
+    def problem_text(self) -> str:
         """The reason why no node may be received, as far as the bus knows."""
-        return self._bus.trouble
+        return self._bus.problem_text
 
     @property
     def malformed(self) -> int:
@@ -77,15 +77,15 @@ class DroneCanNetwork:
         return self._assembler.malformed
 
     def join(self, member: NetworkNode) -> None:
-        """Adds a device, before the bus is opened. Raises DeviceError for ids that exclude each other."""
+        """Adds a device, before the bus is opened. Raises DeviceError for conflicting ids."""
         others = [other for members in self._members.values() for other in members]
         if self.master not in (0, member.master):
-            both = f"{self.master} and {member.master}"
-            raise member.error(f"bindings give this computer two node ids ('master'): {both}")
+            ids = f"{self.master} and {member.master}"
+            raise member.error(f"bindings give this computer two node ids ('master'): {ids}")
         self.master = member.master
         for other in others:
-            same_node, same_id = other.node == member.node, other.unique_id == member.unique_id
-            if same_node != same_id and (same_node or member.unique_id):
+            has_same_node, has_same_id = other.node == member.node, other.unique_id == member.unique_id
+            if has_same_node != has_same_id and (has_same_node or member.unique_id):
                 raise member.error(
                     f"node {member.node} and node {other.node} have one node id or one unique id; give each "
                     "node its own"
@@ -110,12 +110,12 @@ class DroneCanNetwork:
         """Stops the network when the driver ends."""
         self._status.stop()
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops what this computer sends by itself (False: starts it again)."""
-        self._is_quiet = on
+        self._is_quiet = is_quiet
         if not self._members:
             return
-        if on:
+        if is_quiet:
             self._status.stop()
         else:
             self._status.resume()

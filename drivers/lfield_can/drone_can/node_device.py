@@ -1,4 +1,4 @@
-"""Devices that are functions of a DroneCAN node: what they have in common, and the sensors."""
+"""Devices that are functions of a DroneCAN node: their base class, and the sensors."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class DroneCanDevice(Device):
     def on_frame(self, frame: Frame) -> None:
         """Never called: the network dispatches the frames of the node."""
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Has no effect: a sensor is sent no frames."""
 
     def close(self) -> None:
@@ -140,9 +140,9 @@ class DroneCanDevice(Device):
             await asyncio.sleep(WATCH_INTERVAL)
             if not self._opened:
                 continue
-            silent = self.silence > self.patience
-            self.publish(online=not silent)
-            if silent:
+            is_silent = self.silence > self.max_silence
+            self.publish(online=not is_silent)
+            if is_silent:
                 self._on_loss()
             elif self._lost:
                 self._lost = False
@@ -160,7 +160,7 @@ class DroneCanDevice(Device):
     # -- opening --------------------------------------------------------------------------------------
 
     @property
-    def patience(self) -> float:
+    def max_silence(self) -> float:
         """Seconds without a message of the function after which it is lost."""
         max_age: float = self.binding.option("max_age")
         return max_age
@@ -175,15 +175,15 @@ class DroneCanDevice(Device):
         arrive again, even soon.
         """
         self._on_loss()
-        cause = self.network.trouble
-        why = f" ({cause})" if cause else ""
-        return self.error(f"no message for {self.silence:.1f} s{why}", timeout=True)
+        cause = self.network.problem_text
+        cause_text = f" ({cause})" if cause else ""
+        return self.error(f"no message for {self.silence:.1f} s{cause_text}", timeout=True)
 
     async def _open(self) -> str:
-        patience: float = self.binding.option("connect")
-        end = self.clock.monotonic() + patience
-        if not await self.changes.wait_for(lambda: bool(self.values), patience):
-            raise self.error(self._absence(patience), timeout=True)
+        timeout: float = self.binding.option("connect")
+        end = self.clock.monotonic() + timeout
+        if not await self.changes.wait_for(lambda: bool(self.values), timeout):
+            raise self.error(self._absence(timeout), timeout=True)
         while self._info is None and self.clock.monotonic() < end:
             self.network.ask_node_info(self.node)
             await self.changes.wait_for(lambda: self._info is not None, ASK_INTERVAL)
@@ -199,12 +199,12 @@ class DroneCanDevice(Device):
         name = self._info.name or "without a name"
         return f"DroneCAN node {self.node} {name}, software {self._info.software}"
 
-    def _absence(self, patience: float) -> str:
+    def _absence(self, timeout: float) -> str:
         index = self.binding.option("index")
         kind = type(self).__name__
         if self._uptime >= 0.0:
             return f"node {self.node} sends no {kind} messages with index {index}; check 'index'"
-        within = f"within {patience:g} s"
+        within = f"within {timeout:g} s"
         if self.unique_id:
             return f"no node with this unique id asked for its id, or is node {self.node}, {within}"
         return (
@@ -222,10 +222,10 @@ class DroneCanDevice(Device):
 
 def supply(values: Values) -> dict[str, object]:
     """Voltage, current and temperature in degrees Celsius, as far as they are known."""
-    found: dict[str, object] = {name: values[name] for name in ("voltage", "current") if name in values}
+    telemetry: dict[str, object] = {name: values[name] for name in ("voltage", "current") if name in values}
     if "temperature" in values:
-        found["temperature"] = values["temperature"] - KELVIN
-    return found
+        telemetry["temperature"] = values["temperature"] - KELVIN
+    return telemetry
 
 
 class DroneCanBattery(DroneCanDevice):
@@ -238,9 +238,9 @@ class DroneCanBattery(DroneCanDevice):
         flags = int(values["flags"])
         texts = [text for bit, text in BATTERY_FLAGS.items() if flags & bit]
         faults = [text for bit, text in BATTERY_FLAGS.items() if flags & bit & BATTERY_FAULTS]
-        found = supply(values)
-        found["charge"] = values["charge"] / 100.0
-        return {**found, "state": ", ".join(texts), "fault": ", ".join(faults)}
+        telemetry = supply(values)
+        telemetry["charge"] = values["charge"] / 100.0
+        return {**telemetry, "state": ", ".join(texts), "fault": ", ".join(faults)}
 
 
 class DroneCanEsc(DroneCanDevice):
@@ -250,6 +250,6 @@ class DroneCanEsc(DroneCanDevice):
 
     def measured(self, values: Values) -> Mapping[str, object]:
         """The telemetry of a motor controller; its power is a share of the greatest."""
-        found = supply(values)
-        found["speed"] = values["rpm"] * math.tau / 60.0
-        return {**found, "power": values["power"] / 100.0, "errors": int(values["error_count"])}
+        telemetry = supply(values)
+        telemetry["speed"] = values["rpm"] * math.tau / 60.0
+        return {**telemetry, "power": values["power"] / 100.0, "errors": int(values["error_count"])}

@@ -30,8 +30,8 @@ class DroneCanServo(DroneCanDevice):
 
     reported = ACTUATOR_STATUS
 
-    def __init__(self, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self._goal: float | None = None
         self._stream = PeriodicTask(self.clock)
         self._is_quiet = False
@@ -40,10 +40,10 @@ class DroneCanServo(DroneCanDevice):
         """The actuator, which every node with this index would follow."""
         return frozenset({self.binding.option("index") | ACTUATOR})
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops the stream of positions, which would keep the servo from its own failsafe."""
-        self._is_quiet = on
-        if on:
+        self._is_quiet = is_quiet
+        if is_quiet:
             self._stream.stop()
         elif self._goal is not None:
             self._stream.resume()
@@ -55,8 +55,8 @@ class DroneCanServo(DroneCanDevice):
     def measured(self, values: Values) -> Mapping[str, object]:
         """The telemetry of a servo. Force is a torque; a load of 127 is unknown."""
         names = {"position": "position", "speed": "speed", "force": "torque"}
-        found = {name: values[key] for key, name in names.items() if key in values}
-        return {**found, **({"load": values["power"] / 100.0} if values["power"] <= 100 else {})}
+        telemetry = {name: values[key] for key, name in names.items() if key in values}
+        return {**telemetry, **({"load": values["power"] / 100.0} if values["power"] <= 100 else {})}
 
     async def on_recovery(self) -> None:
         """Commands the safe state: the motion of the servo during the loss is unknown."""
@@ -75,14 +75,14 @@ class DroneCanServo(DroneCanDevice):
         else:
             goal = self._hold()
         if not await self.changes.wait_for(
-            lambda: self._is_there(goal) and self.clock.monotonic() - start > self.silence, SAFE_TIMEOUT
+            lambda: self._is_at(goal) and self.clock.monotonic() - start > self.silence, SAFE_TIMEOUT
         ):
-            if self.silence > self.patience:
+            if self.silence > self.max_silence:
                 raise self.contact_error()
             raise self.error(f"the safe state {state} is not confirmed ({self._state_text()})")
 
     def _moving(self) -> str:
-        if self.silence > self.patience:
+        if self.silence > self.max_silence:
             return f"no message for {self.silence:.1f} s"
         return "" if self._is_still else self._state_text()
 
@@ -91,9 +91,9 @@ class DroneCanServo(DroneCanDevice):
         slowest: float = self.binding.option("standstill")
         return abs(self.values.get("speed", math.inf)) <= slowest
 
-    def _is_there(self, goal: float) -> bool:
-        near: float = self.binding.option("tolerance")
-        return self._is_still and abs(self.values.get("position", math.inf) - goal) <= near
+    def _is_at(self, goal: float) -> bool:
+        tolerance: float = self.binding.option("tolerance")
+        return self._is_still and abs(self.values.get("position", math.inf) - goal) <= tolerance
 
     def _state_text(self) -> str:
         position, speed = self.values.get("position", math.nan), self.values.get("speed", math.nan)
@@ -111,11 +111,11 @@ class DroneCanServo(DroneCanDevice):
         self._check("moveTo", position)
         self._command(position, math.inf)
         progress = MoveProgress(self.clock, STUCK_TIME, MIN_PROGRESS)
-        while not self._is_there(position):
-            if self.silence > self.patience:
+        while not self._is_at(position):
+            if self.silence > self.max_silence:
                 self._hold()  # raises DeviceError
-            left = abs(position - self.values.get("position", math.inf))
-            if failure := progress.failure(left):
+            distance = abs(position - self.values.get("position", math.inf))
+            if failure := progress.failure(distance):
                 self._hold()  # Without it the motion continues when the obstacle is gone.
                 raise self.error(failure)
             await self.changes.wait_change(0.1)
@@ -131,7 +131,7 @@ class DroneCanServo(DroneCanDevice):
         lowest, highest = self.binding.option("lowest"), self.binding.option("highest")
         if not lowest - ROUNDING <= position <= highest + ROUNDING:
             raise self.error(f"{instruction}({position:g}) is outside {lowest:g} to {highest:g} rad")
-        if self.silence > self.patience:
+        if self.silence > self.max_silence:
             raise self.contact_error()
         if self.has_conflict:
             raise self.error(f"{instruction} refused: two nodes have id {self.node}; give each its own")
@@ -143,18 +143,18 @@ class DroneCanServo(DroneCanDevice):
         DeviceError is raised.
         """
         position = self.values.get("position")
-        if position is None or self.silence > self.patience:
+        if position is None or self.silence > self.max_silence:
             self._stream.stop()
             self._goal = None
             raise self.contact_error() if position is not None else self.error("its position is unknown")
         self._command(position, math.inf)
         return position
 
-    def _command(self, goal: float, lasts: float) -> None:
-        """Sends a position now and every period, for `lasts` seconds."""
+    def _command(self, goal: float, duration: float) -> None:
+        """Sends a position now and every period, for `duration` seconds."""
         self._goal = goal
         self._send()
-        self._stream.start(self.binding.option("period"), self._send, lasts=lasts)
+        self._stream.start(self.binding.option("period"), self._send, duration=duration)
         if self._is_quiet:
             self._stream.stop()
 

@@ -18,8 +18,8 @@ CAPACITY = 7
 START, END, TOGGLE, NUMBER = 0x80, 0x40, 0x20, 0x1F
 #: Seconds after which an unfinished transfer is discarded, and bytes of the longest.
 TIMEOUT, LONGEST = 1.0, 512
-#: Unfinished transfers that are kept; a bus has at most 127 nodes.
-MOST_OPEN = 512
+#: Stored unfinished transfers; a bus has at most 127 nodes.
+MAX_UNFINISHED = 512
 _SERVICE = 0x80
 
 
@@ -53,7 +53,7 @@ def frame_id(kind: TransferKind, source: int, priority: int) -> int:
     return priority << 24 | kind.type_id << 8 | source
 
 
-def kind_of(identifier: int) -> tuple[TransferKind, int]:
+def parse_frame_id(identifier: int) -> tuple[TransferKind, int]:
     """The kind of transfer of a frame, and its source. An anonymous frame has only the lowest two bits of
     the type id."""
     source = identifier & 0x7F
@@ -81,7 +81,7 @@ def frames_of(transfer: Transfer, signature: int, priority: int = 16) -> Iterato
 
 
 @dataclass(slots=True)
-class _Open:
+class _Unfinished:
     """An unfinished transfer."""
 
     number: int
@@ -91,7 +91,7 @@ class _Open:
 
 
 class Assembler:
-    """Puts frames together; `malformed` counts frames and transfers that are not valid.
+    """Assembles transfers from frames; `malformed` counts frames and transfers that are not valid.
 
     `signatures` are those of the data types that are received, by type and whether it is a service.
     """
@@ -99,16 +99,16 @@ class Assembler:
     def __init__(self, signatures: dict[tuple[int, bool], int]) -> None:
         self.malformed = 0
         self._signatures = signatures
-        self._open: dict[int, _Open] = {}
+        self._unfinished: dict[int, _Unfinished] = {}
 
     def on_frame(self, frame: Frame, now: float) -> Transfer | None:
         """The transfer that a frame completes. Never raises."""
         if not frame.data or frame.fd:
             return None
-        kind, source = kind_of(frame.id)
+        kind, source = parse_frame_id(frame.id)
         tail, data = frame.data[-1], frame.data[:-1]
         if tail & START and tail & END:
-            self._open.pop(frame.id, None)
+            self._unfinished.pop(frame.id, None)
             return Transfer(kind, source, tail & NUMBER, data)
         signature = self._signatures.get((kind.type_id, kind.is_service))
         if signature is None or source == 0:
@@ -117,36 +117,38 @@ class Assembler:
 
     def _next(self, identifier: int, tail: int, data: bytes, now: float, signature: int) -> Transfer | None:
         if tail & START:
-            self._forget(now)
+            self._discard_old(now)
             if tail & TOGGLE or len(data) < CAPACITY:
                 self.malformed += 1
                 return None
-            self._open[identifier] = _Open(tail & NUMBER, now, parts=[data])
+            self._unfinished[identifier] = _Unfinished(tail & NUMBER, now, parts=[data])
             return None
-        unfinished = self._open.get(identifier)
+        unfinished = self._unfinished.get(identifier)
         if unfinished is None:
             return None  # its start was lost
         expected = unfinished.toggle | unfinished.number
         too_long = len(unfinished.parts) * CAPACITY > LONGEST
         if tail & (TOGGLE | NUMBER) != expected or now - unfinished.since > TIMEOUT or too_long:
-            del self._open[identifier]
+            del self._unfinished[identifier]
             self.malformed += 1
             return None
         unfinished.toggle ^= TOGGLE
         unfinished.parts.append(data)
         if not tail & END:
             return None
-        del self._open[identifier]
-        whole = b"".join(unfinished.parts)
-        kind, source = kind_of(identifier)
-        if int.from_bytes(whole[:2], "little") != transfer_crc(signature, whole[2:]):
+        del self._unfinished[identifier]
+        payload = b"".join(unfinished.parts)
+        kind, source = parse_frame_id(identifier)
+        if int.from_bytes(payload[:2], "little") != transfer_crc(signature, payload[2:]):
             self.malformed += 1
             return None
-        return Transfer(kind, source, unfinished.number, whole[2:])
+        return Transfer(kind, source, unfinished.number, payload[2:])
 
-    def _forget(self, now: float) -> None:
+    def _discard_old(self, now: float) -> None:
         """Discards old unfinished transfers when there are many."""
-        if len(self._open) >= MOST_OPEN:
-            self._open = {key: each for key, each in self._open.items() if now - each.since <= TIMEOUT}
-        if len(self._open) >= MOST_OPEN:
-            self._open.clear()
+        if len(self._unfinished) >= MAX_UNFINISHED:
+            self._unfinished = {
+                key: transfer for key, transfer in self._unfinished.items() if now - transfer.since <= TIMEOUT
+            }
+        if len(self._unfinished) >= MAX_UNFINISHED:
+            self._unfinished.clear()

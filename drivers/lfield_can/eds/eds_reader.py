@@ -61,8 +61,8 @@ _OBJECT = re.compile(r"(?P<index>[0-9a-f]{4})(?:sub(?P<subindex>[0-9a-f]{1,2}))?
 class EdsError(ValueError):
     """A file that is not an EDS file; the message is a sentence, `findings` are the mistakes."""
 
-    def __init__(self, text: str, found: Sequence[Diagnostic]) -> None:
-        self.findings = tuple(found)
+    def __init__(self, text: str, findings: Sequence[Diagnostic]) -> None:
+        self.findings = tuple(findings)
         super().__init__(text)
 
 
@@ -80,21 +80,21 @@ class _Section:
 
 def parse_eds(path: str, data: bytes) -> tuple[canopen.ObjectDictionary, Sequence[Diagnostic]]:
     """The objects of a file, and its ignored parts. Raises EdsError."""
-    source, found = Source(path, decode_text(data)), Diagnostics()
-    sections = _sections(source, found)
+    source, diagnostics = Source(path, decode_text(data)), Diagnostics()
+    sections = _sections(source, diagnostics)
     dictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]  # canopen types a part of itself
     indexes = [match["index"] for name in sections if (match := _OBJECT.fullmatch(name))]
     for index in dict.fromkeys(indexes):
         section = sections.get(index, _Section(Span(source, 0, 0)))
-        _add(dictionary, int(index, 16), section, sections, found)
+        _add(dictionary, int(index, 16), section, sections, diagnostics)
     if not len(dictionary):
         finding = NO_OBJECTS.at(Span(source, 0, min(1, len(source.text))))
         place = f"{path}:{finding.span.line}:{finding.span.column}"
         raise EdsError(f"{place}: error[{finding.code}]: {finding.message} ({finding.hint})", [finding])
-    return dictionary, found.in_order()
+    return dictionary, diagnostics.in_order()
 
 
-def _sections(source: Source, found: Diagnostics) -> dict[str, _Section]:
+def _sections(source: Source, diagnostics: Diagnostics) -> dict[str, _Section]:
     """The sections by lower-case name."""
     sections: dict[str, _Section] = {}
     current = _Section(Span(source, 0, 0))
@@ -109,15 +109,15 @@ def _sections(source: Source, found: Diagnostics) -> dict[str, _Section]:
             current = _Section(span)
             first = sections.setdefault(match["name"].lower(), current)
             if first is not current:
-                found.add(DUPLICATE.at(span, what=f"section [{match['name']}]", line=first.span.line))
+                diagnostics.add(DUPLICATE.at(span, what=f"section [{match['name']}]", line=first.span.line))
         elif match := _ENTRY.match(line):
             value_at = start + match.start("value")
             entry = (match["value"], Span(source, value_at, value_at + max(1, len(match["value"]))))
-            kept = current.entries.setdefault(match["key"].lower(), entry)
-            if kept is not entry and kept[0] != entry[0]:
-                found.add(DUPLICATE.at(span, what=f"key {match['key']}", line=kept[1].line))
+            existing = current.entries.setdefault(match["key"].lower(), entry)
+            if existing is not entry and existing[0] != entry[0]:
+                diagnostics.add(DUPLICATE.at(span, what=f"key {match['key']}", line=existing[1].line))
         else:
-            found.add(NOT_A_LINE.at(span))
+            diagnostics.add(NOT_A_LINE.at(span))
     return sections
 
 
@@ -126,7 +126,7 @@ def _add(
     index: int,
     section: _Section,
     sections: Mapping[str, _Section],
-    found: Diagnostics,
+    diagnostics: Diagnostics,
 ) -> None:
     """Adds an object with its subindexes."""
     name = section.text("ParameterName") or f"0x{index:04X}"
@@ -138,7 +138,7 @@ def _add(
     }
     compact = min(_number(section.text("CompactSubObj")) or 0, MAX_COMPACT)
     if kind not in (ARRAY, RECORD) and not parts and not compact:
-        if variable := _variable(name, index, 0, section, sections, found):
+        if variable := _variable(name, index, 0, section, sections, diagnostics):
             dictionary.add_object(variable)
         return
     record = ODRecord(name, index)
@@ -146,14 +146,16 @@ def _add(
         count = ODVariable("number of entries", index, 0)
         count.data_type = datatypes.UNSIGNED8
         record.add_member(count)
-        if _variable(name, index, 1, section, sections, found) is None:
+        if _variable(name, index, 1, section, sections, diagnostics) is None:
             compact = 0
     for subindex in range(1, compact + 1):
-        if subindex not in parts and (member := _variable(name, index, subindex, section, sections, found)):
+        if subindex not in parts and (
+            member := _variable(name, index, subindex, section, sections, diagnostics)
+        ):
             record.add_member(member)
     for subindex, part in parts.items():
         part_name = part.text("ParameterName") or f"{name} {subindex}"
-        if member := _variable(part_name, index, subindex, part, sections, found):
+        if member := _variable(part_name, index, subindex, part, sections, diagnostics):
             record.add_member(member)
     dictionary.add_object(record)
 
@@ -164,23 +166,23 @@ def _variable(
     subindex: int,
     section: _Section,
     sections: Mapping[str, _Section],
-    found: Diagnostics,
+    diagnostics: Diagnostics,
 ) -> ODVariable | None:
     """One object; None for an unknown type."""
     label = f"0x{index:04X}:{subindex}"
     text, place = section.entries.get("datatype", ("", section.span))
     if not text:
-        found.add(NO_TYPE.at(section.span, object=label))
+        diagnostics.add(NO_TYPE.at(section.span, object=label))
         return None
     data_type = _number(text)
     if data_type is None:
-        found.add(NOT_A_NUMBER.at(place, object=label, key="DataType", text=text))
+        diagnostics.add(NOT_A_NUMBER.at(place, object=label, key="DataType", text=text))
         return None
-    if data_type > LAST_TYPE and (described := sections.get(f"{data_type:x}sub1")):
+    if data_type > LAST_TYPE and (type_section := sections.get(f"{data_type:x}sub1")):
         # CANFestival's editor describes a type by its first subindex, whose default value is the real one.
-        data_type = _number(described.text("DefaultValue")) or data_type
+        data_type = _number(type_section.text("DefaultValue")) or data_type
     if data_type > LAST_TYPE:
-        found.add(UNKNOWN_TYPE.at(place, object=label, type=text))
+        diagnostics.add(UNKNOWN_TYPE.at(place, object=label, type=text))
         return None
     variable = ODVariable(name, index, subindex)
     variable.data_type = data_type

@@ -33,13 +33,13 @@ async def supply(bench: Bench) -> str:
 async def turns(bench: Bench) -> str:
     """moveTo() returns when the servo is at rest at its goal."""
     start = bench.query("position")
-    off = []
-    for goal in (start + _way(bench), start):
+    errors = []
+    for goal in (start + _distance(bench), start):
         await bench.call("moveTo", goal)
-        off.append(abs(bench.query("position") - goal))
-        if off[-1] > 2.0 * bench.binding.option("tolerance"):
-            raise CheckFailed(f"moveTo() returned {off[-1]:.3f} rad from its goal")
-    return f"{off[0]:.4f} rad off there, {off[1]:.4f} rad off back"
+        errors.append(abs(bench.query("position") - goal))
+        if errors[-1] > 2.0 * bench.binding.option("tolerance"):
+            raise CheckFailed(f"moveTo() returned {errors[-1]:.3f} rad from its goal")
+    return f"{errors[0]:.4f} rad off there, {errors[1]:.4f} rad off back"
 
 
 @NODES.check("a cancelled motion holds", moves=True, types=_SERVO)
@@ -47,10 +47,10 @@ async def cancels(bench: Bench) -> str:
     """A cancelled servo stops on its way."""
     start = bench.query("position")
 
-    def started() -> bool:
+    def has_started() -> bool:
         return bool(abs(bench.query("position") - start) > 0.01)
 
-    outcome = await cancelled(bench, started, "moveTo", start + 2.0 * _way(bench))
+    outcome = await cancelled(bench, has_started, "moveTo", start + 2.0 * _distance(bench))
     if abs(bench.query("speed")) > bench.binding.option("standstill"):
         raise CheckFailed(f"{outcome}, but it turns")
     await bench.call("moveTo", start)
@@ -81,8 +81,8 @@ async def bounds(bench: Bench) -> str:
     return f"4 refused, the last: {reason}"
 
 
-def _way(bench: Bench) -> float:
-    """A distance towards the side with more space."""
-    here = bench.query("position")
-    free_space = bench.binding.option("highest") - here, here - bench.binding.option("lowest")
+def _distance(bench: Bench) -> float:
+    """A distance towards the side with more free range."""
+    position = bench.query("position")
+    free_space = bench.binding.option("highest") - position, position - bench.binding.option("lowest")
     return TURN if free_space[0] >= free_space[1] else -TURN

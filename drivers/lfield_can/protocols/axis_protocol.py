@@ -50,16 +50,16 @@ class AxisProtocol:
     #: Seconds without a message after which the device is lost.
     silence = 0.5
 
-    def __init__(self, wiring: ProtocolContext) -> None:
-        self.wiring, self.binding, self.bus = wiring, wiring.binding, wiring.bus
-        self.node: int = wiring.binding.option("node")
+    def __init__(self, context: ProtocolContext) -> None:
+        self.context, self.binding, self.bus = context, context.binding, context.bus
+        self.node: int = context.binding.option("node")
         self.state = AxisState()
         self.needs_setup = False
         #: The reason why two devices seem to have this id; '' otherwise.
         self.conflict = ""
-        sign = -1.0 if wiring.binding.option("reversed") else 1.0
+        sign = -1.0 if context.binding.option("reversed") else 1.0
         #: Turns of the motor for one radian of the axis.
-        self.turns: float = sign * wiring.binding.option("gear") / math.tau
+        self.turns: float = sign * context.binding.option("gear") / math.tau
 
     def ids(self) -> frozenset[int]:
         """The ids of all frames of the device, unique on the bus."""
@@ -142,15 +142,15 @@ class AxisProtocol:
         """Sends the command for a safe state, without waiting; repeated until `is_safe`."""
         raise NotImplementedError
 
-    def is_safe(self, state: str, still: bool) -> bool:
-        """Whether the device reports that safe state; `still`: the axis does not turn."""
+    def is_safe(self, state: str, is_still: bool) -> bool:
+        """Whether the device reports that safe state; `is_still`: the axis does not turn."""
         raise NotImplementedError
 
     async def poll(self) -> Mapping[str, object]:
         """Requests values that the device does not send by itself, once a second; not on a muted bus."""
         return {}
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops (or starts) the frames that feed the device's own watchdog."""
 
     def on_silence(self) -> None:
@@ -163,12 +163,12 @@ class AxisProtocol:
 
     # -- for subclasses ---------------------------------------------------------------------------------
 
-    async def expect(self, condition: Callable[[], bool], bound: float, what: str) -> None:
-        """Waits until the state fulfils a condition. Raises DeviceError `what`."""
-        if not await self.wiring.changes.wait_for(condition, bound):
+    async def expect(self, condition: Callable[[], bool], timeout: float, failure: str) -> None:
+        """Waits until the state fulfils a condition. Raises DeviceError with the text `failure`."""
+        if not await self.context.changes.wait_for(condition, timeout):
             fault = f"; fault: {self.state.fault}" if self.state.fault else ""
-            raise self.wiring.error(
-                f"{what} within {bound:g} s (it is {self.state.state or 'silent'}{fault})"
+            raise self.context.error(
+                f"{failure} within {timeout:g} s (it is {self.state.state or 'silent'}{fault})"
             )
 
     def limit(self, name: str) -> float | None:

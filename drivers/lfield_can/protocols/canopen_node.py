@@ -56,12 +56,12 @@ class CanopenNode:
     def __init__(self, name: str, node: int, post: Callable[[Frame], None]) -> None:
         self._name, self._id, self._post = name, node, post
         self._dictionary = standard_dictionary()
-        self._client, self._turn = SdoClient(), asyncio.Lock()
+        self._client, self._transfer_lock = SdoClient(), asyncio.Lock()
         self._result: asyncio.Future[Result] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._id_probe: IdConflictProbe | None = None
         #: Whether the node does not answer requests for missing objects.
-        self._ignores = False
+        self._ignores_missing = False
         #: Called with every written object and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
@@ -118,10 +118,10 @@ class CanopenNode:
         people.
         """
         await self.write_raw(index, subindex, self._encoded(index, subindex, value))
-        back = await self.read(index, subindex)
-        if back != value:
+        stored = await self.read(index, subindex)
+        if stored != value:
             label = self._label(index, subindex)
-            raise DeviceError(self._name, f"{label} was set to {value} but is {back}")
+            raise DeviceError(self._name, f"{label} was set to {value} but is {stored}")
 
     async def write_raw(self, index: int, subindex: int, data: bytes) -> None:
         """Writes the bytes of an object, 1 to 4. Raises DeviceError."""
@@ -137,7 +137,7 @@ class CanopenNode:
 
         `briefly`: one request, if it is answered once; none to a node that has ignored all before.
         """
-        if briefly and self._ignores:
+        if briefly and self._ignores_missing:
             return False
         self._id_probe = probe = IdConflictProbe(1) if briefly else IdConflictProbe()
         try:
@@ -148,7 +148,7 @@ class CanopenNode:
                 await asyncio.sleep(GAP)
         finally:
             self._id_probe = None
-        self._ignores = probe.is_ignored and not briefly
+        self._ignores_missing = probe.is_ignored and not briefly
         return probe.is_doubled
 
     def close(self) -> None:
@@ -159,23 +159,23 @@ class CanopenNode:
 
     async def _transfer(self, start: Callable[[], Sequence[Effect]], index: int, subindex: int) -> bytes:
         """Queues and performs a transfer; returns its data. Raises DeviceError."""
-        async with self._turn:
+        async with self._transfer_lock:
             result = self._result = asyncio.get_running_loop().create_future()
             try:
                 self._apply(start())
-                ended = await result
+                outcome = await result
             finally:
                 self._apply(self._client.on_cancelled())
                 self._stop_timer()
         label = self._label(index, subindex)
-        match ended:
+        match outcome:
             case Done(data):
                 return data
             case Refused(code):
                 # The texts of codes are canopen's.
                 raise SdoRefused(self._name, f"{label} refused: {SdoAbortedError(code)}")
-        kind = "DeviceTimeoutException" if ended.silent else "DeviceException"
-        raise DeviceError(self._name, f"{label}: {ended.why}", kind=kind)
+        kind = "DeviceTimeoutException" if outcome.silent else "DeviceException"
+        raise DeviceError(self._name, f"{label}: {outcome.reason}", kind=kind)
 
     def _apply(self, effects: Sequence[Effect]) -> None:
         for effect in effects:
@@ -224,8 +224,8 @@ class CanopenNode:
         return variable
 
     def _find(self, index: int, subindex: int) -> ODVariable | None:
-        found = self._dictionary.get_variable(index, subindex)
-        return found if isinstance(found, ODVariable) and len(found) <= 32 else None
+        variable = self._dictionary.get_variable(index, subindex)
+        return variable if isinstance(variable, ODVariable) and len(variable) <= 32 else None
 
     def _label(self, index: int, subindex: int) -> str:
         return f"{name_of(index, subindex)} 0x{index:04X}:{subindex}"

@@ -23,9 +23,9 @@ STALE_BITS = 0.2
 class Cia402(Cia402Node):
     """One drive."""
 
-    def __init__(self, wiring: ProtocolContext) -> None:
-        super().__init__(wiring)
-        self._stream = PeriodicTask(wiring.clock)
+    def __init__(self, context: ProtocolContext) -> None:
+        super().__init__(context)
+        self._stream = PeriodicTask(context.clock)
         # The present mode of operation, 0 if unknown, and the last position of a stream.
         self._mode = 0
         self._commanded: float | None = None
@@ -43,11 +43,11 @@ class Cia402(Cia402Node):
             self._stream.stop()
         return changes
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops (or starts) a stream too: it feeds the watchdog of the drive."""
-        if on:
+        if is_quiet:
             self._stream.stop()
-        super().quiet(on)
+        super().set_quiet(is_quiet)
 
     def close(self) -> None:
         """Stops a stream too."""
@@ -57,7 +57,7 @@ class Cia402(Cia402Node):
     # -- instructions -----------------------------------------------------------------------------------
 
     async def enable(self) -> None:
-        """Steps up the state machine, without an earlier target."""
+        """Steps through the state machine to "operation enabled", without an earlier target."""
         if self.pdo_configuration.data.can_send(t.TO_VELOCITY):
             await self.objects.write(0x60FF, 0, 0)
         await self._leave_quick_stop()
@@ -67,10 +67,10 @@ class Cia402(Cia402Node):
             if self.state.enabled:
                 return
             if self.state.fault:
-                raise self.wiring.error(f"enable refused: {self.state.fault}; resetFault() clears it")
+                raise self.context.error(f"enable refused: {self.state.fault}; resetFault() clears it")
             await self._control(t.UPWARDS.get(state, t.DISABLE_VOLTAGE))
-            await self._leave(state)
-        raise self.wiring.error(f"enable failed: it remains in '{self.state.state}'")
+            await self._await_exit(state)
+        raise self.context.error(f"enable failed: it remains in '{self.state.state}'")
 
     async def _leave_quick_stop(self) -> None:
         """Leaves a quick stop with torque by transition 16: without voltage a load would fall.
@@ -82,13 +82,13 @@ class Cia402(Cia402Node):
         with suppress(DeviceError):
             await self._set_mode(t.PROFILE_VELOCITY)
             await self._control(t.ENABLE)
-            await self.wiring.changes.wait_for(
+            await self.context.changes.wait_for(
                 lambda: self.state.state != "quick stop active", ACCEPT_TIMEOUT
             )
         if self.state.state == "quick stop active":
-            self.wiring.note(log_messages.TORQUE_GAP.line())
+            self.context.note(log_messages.TORQUE_GAP.line())
 
-    async def _leave(self, state: str) -> None:
+    async def _await_exit(self, state: str) -> None:
         await self.expect(lambda: self.state.state != state, STEP_TIMEOUT, f"it did not leave '{state}'")
 
     async def disable(self) -> None:
@@ -108,7 +108,7 @@ class Cia402(Cia402Node):
         """Homes the drive by the method of the binding."""
         method: int = self.binding.option("homing_method")
         if method == 0:
-            raise self.wiring.error(
+            raise self.context.error(
                 "home requires 'homing_method' in its binding: the number of the method in the drive's manual"
             )
         self._stream.stop()
@@ -119,23 +119,23 @@ class Cia402(Cia402Node):
         await self._set_mode(t.HOMING)
         try:
             await self._control(t.ENABLE | t.START_HOMING)
-            await self._homed()
+            await self._await_homing_end()
         finally:
             self.bus.post(self._frame(t.CONTROL, t.ENABLE))
         self.state.referenced = True
 
-    async def _homed(self) -> None:
+    async def _await_homing_end(self) -> None:
         """Waits for the end of homing. The bits of an earlier homing may remain for a moment."""
-        await self.wiring.changes.wait_for(lambda: not self.statusword & t.ACKNOWLEDGED, STALE_BITS)
+        await self.context.changes.wait_for(lambda: not self.statusword & t.ACKNOWLEDGED, STALE_BITS)
         done = t.ACKNOWLEDGED | t.TARGET_REACHED
 
-        def over() -> bool:
+        def has_ended() -> bool:
             bits = self.statusword
             return bits & done == done or bool(bits & t.FAILED) or not self.state.enabled
 
-        await self.expect(over, HOMING_TIMEOUT, "homing did not end")
+        await self.expect(has_ended, HOMING_TIMEOUT, "homing did not end")
         if not self.state.enabled or self.statusword & t.FAILED:
-            raise self.wiring.error(f"homing failed ({self.state.fault or self.state.state})")
+            raise self.context.error(f"homing failed ({self.state.fault or self.state.state})")
 
     async def start_move(self, position: float, speed: float) -> None:
         """Starts a profile to the goal immediately."""
@@ -172,11 +172,11 @@ class Cia402(Cia402Node):
         if not self.binding.option("cyclic"):
             await self.start_move(position, speed)
             return
-        at = self._commanded if self._mode == t.CYCLIC_POSITION else self.state.position
-        if at is None:
-            raise self.wiring.error("its position is unknown")
-        await self._set_mode(t.CYCLIC_POSITION, (0x607A, self.units.to_counts(at)))
-        self._commanded = at
+        start = self._commanded if self._mode == t.CYCLIC_POSITION else self.state.position
+        if start is None:
+            raise self.context.error("its position is unknown")
+        await self._set_mode(t.CYCLIC_POSITION, (0x607A, self.units.to_counts(start)))
+        self._commanded = start
         step = speed * self.binding.option("period")
         await self._start_stream(lambda: self._approach(position, step))
 
@@ -189,7 +189,6 @@ class Cia402(Cia402Node):
     async def set_velocity(self, velocity: float) -> None:
         """Sets a target velocity, or with `cyclic` a stream of it."""
         await self._set_target(
-            velocity,
             self.units.to_velocity(velocity),
             0x60FF,
             t.TO_VELOCITY,
@@ -200,16 +199,14 @@ class Cia402(Cia402Node):
     async def set_torque(self, torque: float) -> None:
         """Sets a target torque, or with `cyclic` a stream of it."""
         if not self.units.rated_torque:
-            raise self.wiring.error(
+            raise self.context.error(
                 "setTorque requires 'rated_torque' in its binding: the drive does not report it"
             )
         await self._set_target(
-            torque, self.units.to_torque(torque), 0x6071, t.TO_TORQUE, t.PROFILE_TORQUE, t.CYCLIC_TORQUE
+            self.units.to_torque(torque), 0x6071, t.TO_TORQUE, t.PROFILE_TORQUE, t.CYCLIC_TORQUE
         )
 
-    async def _set_target(
-        self, what: float, value: int, index: int, code: int, profile: int, cyclic: int
-    ) -> None:
+    async def _set_target(self, value: int, index: int, code: int, profile: int, cyclic: int) -> None:
         # Report a value that does not fit before the mode changes; build the frame when it is sent, since it
         # may contain mode and control word.
         self._frame(code, value)
@@ -226,7 +223,7 @@ class Cia402(Cia402Node):
         self._stream.stop()
         await self.bus.send(frame())
         period: float = self.binding.option("period")
-        self._stream.start(period, lambda: self.bus.post(frame()), lasts=self.binding.ttl)
+        self._stream.start(period, lambda: self.bus.post(frame()), duration=self.binding.ttl)
 
     # -- safe states ------------------------------------------------------------------------------------
 
@@ -240,11 +237,11 @@ class Cia402(Cia402Node):
             await self.objects.write_raw(0x6040, 0, struct.pack("<H", controlword))
             await self.read_state()
 
-    def is_safe(self, state: str, still: bool) -> bool:
+    def is_safe(self, state: str, is_still: bool) -> bool:
         """Whether the status word shows the safe state; a drive that is off cannot hold and need not."""
         if state == "torque_off":
             return self.state.state in t.IDLE
-        return still and (self.state.state in t.IDLE or self.state.state == "quick stop active")
+        return is_still and (self.state.state in t.IDLE or self.state.state == "quick stop active")
 
     # -- parts ------------------------------------------------------------------------------------------
 
@@ -254,11 +251,11 @@ class Cia402(Cia402Node):
     def _frame(self, entry: int, value: int) -> Frame:
         """Process data to the drive. Raises DeviceError when a value does not fit, or has no PDO."""
         if not self.pdo_configuration.data.can_send(entry):
-            raise self.wiring.error(f"the drive does not {t.OPTIONAL.get(entry, 'take commands yet')}")
+            raise self.context.error(f"the drive does not {t.OPTIONAL.get(entry, 'take commands yet')}")
         try:
             return Frame(*self.pdo_configuration.data.frame(entry, value))
         except struct.error:
-            raise self.wiring.error(
+            raise self.context.error(
                 f"{value} is out of the drive's range; check 'counts' and 'gear'"
             ) from None
 
@@ -269,15 +266,15 @@ class Cia402(Cia402Node):
         if self._mode == mode:
             return
         if self.modes and not self.modes & 1 << (mode - 1):
-            raise self.wiring.error(f"the drive has no mode {t.MODES[mode]}")
+            raise self.context.error(f"the drive has no mode {t.MODES[mode]}")
         self._mode = 0
         if target is not None:
             await self.objects.write(target[0], 0, target[1])
         await self.objects.write_raw(0x6060, 0, bytes([mode]))
-        end = self.wiring.clock.monotonic() + STEP_TIMEOUT
+        end = self.context.clock.monotonic() + STEP_TIMEOUT
         while await self.objects.read(0x6061) != mode:
-            if self.wiring.clock.monotonic() > end:
-                raise self.wiring.error(f"it did not enter the mode {t.MODES[mode]}")
+            if self.context.clock.monotonic() > end:
+                raise self.context.error(f"it did not enter the mode {t.MODES[mode]}")
         self._mode = mode
 
     async def _new_setpoint(self, position: float, controlword: int = t.ENABLE) -> None:

@@ -26,13 +26,13 @@ MAX_VALUE_AGE = 0.3
 class Cia402Node(AxisProtocol):
     """One drive: set-up and messages."""
 
-    def __init__(self, wiring: ProtocolContext) -> None:
-        super().__init__(wiring)
+    def __init__(self, context: ProtocolContext) -> None:
+        super().__init__(context)
         option = self.binding.option
         if self.node == 0:
-            raise wiring.error("a CANopen node id is 1 to 127; node 0 addresses all")
+            raise context.error("a CANopen node id is 1 to 127; node 0 addresses all")
         if option("counts") == 0:
-            raise wiring.error(
+            raise context.error(
                 "cia402 requires 'counts' in its binding: position counts per turn of the motor"
             )
         self.units = Units(
@@ -43,13 +43,13 @@ class Cia402Node(AxisProtocol):
             option("rated_current"),
         )
         self.objects = CanopenNode(self.binding.field, self.node, self.bus.post)
-        self._heartbeats = PeriodicTask(wiring.clock)
+        self._heartbeat_task = PeriodicTask(context.clock)
         #: The process data of the drive, empty before they are configured.
         self.pdo_configuration = PdoConfiguration()
         self._sync_id = t.SYNC
-        self._longest = 0.0
+        self._watchdog_time = 0.0
         #: Our heartbeat, which the drive monitors.
-        self._send_heartbeat = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
+        self._heartbeat_frame = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
         self._nmt: int | None = None
         self.statusword = self._error_code = self._register = 0
         #: The time when position and velocity were last received.
@@ -106,7 +106,7 @@ class Cia402Node(AxisProtocol):
             if status is None:
                 return None
             readings.update(status)
-        now = self.wiring.clock.monotonic()
+        now = self.context.clock.monotonic()
         self._reported_at.update({entry: now for entry in self._reported_at if entry in values})
         if t.POSITION in values:
             readings["position"] = self.state.position = self.units.position(values[t.POSITION])
@@ -128,7 +128,7 @@ class Cia402Node(AxisProtocol):
             return self._state_telemetry()
         if self.pdo_configuration.by_changes:
             return self._unchanged_telemetry()
-        if self.wiring.clock.monotonic() - min(self._reported_at.values()) > MAX_VALUE_AGE:
+        if self.context.clock.monotonic() - min(self._reported_at.values()) > MAX_VALUE_AGE:
             self.state.position = self.state.velocity = None
         return {}
 
@@ -154,7 +154,7 @@ class Cia402Node(AxisProtocol):
     def _on_emergency(self, code: int, register: int) -> dict[str, object]:
         self._error_code, self._register = code, register
         if code:
-            self.wiring.note(log_messages.EMERGENCY.line(reason=t.error_text(code, register)))
+            self.context.note(log_messages.EMERGENCY.line(reason=t.error_text(code, register)))
         return {}
 
     def _state_telemetry(self) -> dict[str, object]:
@@ -180,7 +180,7 @@ class Cia402Node(AxisProtocol):
     def prepare(self) -> None:
         """Reads the EDS file."""
         if path := self.binding.option("eds"):
-            self.objects.load(path, self.wiring.note)
+            self.objects.load(path, self.context.note)
 
     def call(self) -> None:
         """Requests the device type: a node need not send heartbeats before its set-up."""
@@ -188,7 +188,7 @@ class Cia402Node(AxisProtocol):
 
     async def setup(self) -> str:
         """Identifies the drive, sets it up, and starts its process data."""
-        node, note, error = self.objects, self.wiring.note, self.wiring.error
+        node, note, error = self.objects, self.context.note, self.context.error
         self.configured = False
         identity = await setting.identify(node, error)
         self.conflict = ""
@@ -210,8 +210,8 @@ class Cia402Node(AxisProtocol):
             )
         await setting.set_quick_stop(node, self.binding.safe_state, error, note)
         self.modes = await setting.optional(node, 0x6502) or 0
-        if self._longest:
-            await self.set_watchdog(self._longest)
+        if self._watchdog_time:
+            await self.set_watchdog(self._watchdog_time)
         await self._start()
         self.configured, self.needs_setup = True, False
         return f"CiA 402 drive, node {self.node}, {identity}"
@@ -226,7 +226,7 @@ class Cia402Node(AxisProtocol):
         self._nmt = None
         if self.pdo_configuration.by_sync:
             self._sync_id = (await setting.optional(self.objects, 0x1005) or t.SYNC) & 0x7FF
-            self.wiring.sync.require(self.node, self._sync_id)
+            self.context.sync.require(self.node, self._sync_id)
         await self.bus.send(Frame(t.NMT, bytes([t.NMT_START, self.node])))
         await self.expect(lambda: self._nmt == t.OPERATIONAL, STEP_TIMEOUT, "it did not become operational")
         self.state.position = self.state.velocity = None
@@ -240,13 +240,13 @@ class Cia402Node(AxisProtocol):
 
     async def set_watchdog(self, longest: float) -> float | None:
         """Sets the consumer heartbeat of the drive, which our heartbeats feed from now on."""
-        self._longest = longest
+        self._watchdog_time = longest
         master: int = self.binding.option("master")
-        self._heartbeats.start(longest / 4.0, lambda: self.bus.post(self._send_heartbeat))
-        note, safe_state = self.wiring.note, self.binding.safe_state
+        self._heartbeat_task.start(longest / 4.0, lambda: self.bus.post(self._heartbeat_frame))
+        note, safe_state = self.context.note, self.binding.safe_state
         seconds = await setting.set_watchdog(self.objects, master, longest, safe_state, note)
         # Monitoring starts with the first heartbeat that the drive receives (CiA 301, 7.2.8.2.2).
-        await self.bus.send(self._send_heartbeat)
+        await self.bus.send(self._heartbeat_frame)
         return seconds
 
     async def read_state(self) -> None:
@@ -256,9 +256,9 @@ class Cia402Node(AxisProtocol):
         received since the request take precedence.
         """
         for entry in (t.POSITION, t.VELOCITY, t.STATUS):
-            tellings = self._report_counts[entry]
+            count = self._report_counts[entry]
             value = await self.objects.read(entry >> 16)
-            if self._report_counts[entry] == tellings:
+            if self._report_counts[entry] == count:
                 self.on_values({entry: value})
 
     async def poll(self) -> Mapping[str, object]:
@@ -275,10 +275,10 @@ class Cia402Node(AxisProtocol):
         if self.pdo_configuration.by_changes:
             await self.read_state()
         volts = await self._supply()
-        cause = await self._cause()
-        return {**(self._unchanged_telemetry() if self.pdo_configuration.by_changes else cause), **volts}
+        fault = await self._fault_cause()
+        return {**(self._unchanged_telemetry() if self.pdo_configuration.by_changes else fault), **volts}
 
-    async def _cause(self) -> dict[str, object]:
+    async def _fault_cause(self) -> dict[str, object]:
         if not self.state.fault or self._error_code:
             return {}
         self._error_code = await setting.optional(self.objects, 0x603F) or 0
@@ -292,21 +292,21 @@ class Cia402Node(AxisProtocol):
         self._has_voltage = millivolts is not None
         return {} if millivolts is None else {"voltage": millivolts / 1000.0}
 
-    def quiet(self, on: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops (or starts) our heartbeats, which feed the watchdog of the drive."""
-        if on:
-            self._heartbeats.stop()
-            self.wiring.sync.release(self.node)
+        if is_quiet:
+            self._heartbeat_task.stop()
+            self.context.sync.release(self.node)
             return
-        if self._longest:
+        if self._watchdog_time:
             # Immediately: its watchdog may be about to expire.
-            self.bus.post(self._send_heartbeat)
-            self._heartbeats.resume()
+            self.bus.post(self._heartbeat_frame)
+            self._heartbeat_task.resume()
         if self.pdo_configuration.by_sync:
-            self.wiring.sync.require(self.node, self._sync_id)
+            self.context.sync.require(self.node, self._sync_id)
 
     def close(self) -> None:
         """Stops heartbeats and transfers."""
-        self._heartbeats.stop()
-        self.wiring.sync.release(self.node)
+        self._heartbeat_task.stop()
+        self.context.sync.release(self.node)
         self.objects.close()

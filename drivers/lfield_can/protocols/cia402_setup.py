@@ -25,9 +25,9 @@ Note = Callable[[str], None]
 
 async def identify(node: CanopenNode, error: Callable[[str], DeviceError]) -> str:
     """The identity of the drive. Raises DeviceError when the node is not a drive."""
-    kind = await node.read(0x1000)
-    if kind & 0xFFFF != DRIVE_PROFILE:
-        raise error(f"it is not a CiA 402 drive: its device type 0x1000 is 0x{kind:08X}")
+    device_type = await node.read(0x1000)
+    if device_type & 0xFFFF != DRIVE_PROFILE:
+        raise error(f"it is not a CiA 402 drive: its device type 0x1000 is 0x{device_type:08X}")
     vendor, product = await optional(node, 0x1018, 1), await optional(node, 0x1018, 2)
     return f"vendor 0x{vendor or 0:X}, product 0x{product or 0:X}"
 
@@ -47,17 +47,17 @@ async def set_heartbeat(node: CanopenNode, error: Callable[[str], DeviceError]) 
     """
     try:
         await node.write_raw(0x1017, 0, HEARTBEAT_EVERY.to_bytes(2, "little"))
-        why = "it accepts no other time"
-    except SdoRefused as refused:
-        why = refused.reason
-    every = await optional(node, 0x1017)
-    if not every:
+        reason = "it accepts no other time"
+    except SdoRefused as refusal:
+        reason = refusal.reason
+    period = await optional(node, 0x1017)
+    if not period:
         raise error(
-            f"it sends no heartbeat ({why}), so its failure would not be noticed; node guarding is not "
+            f"it sends no heartbeat ({reason}), so its failure would not be noticed; node guarding is not "
             "supported"
         )
-    if every > SLOWEST_HEARTBEAT:
-        raise error(f"its heartbeat period of {every} ms is too long and cannot be changed ({why})")
+    if period > SLOWEST_HEARTBEAT:
+        raise error(f"its heartbeat period of {period} ms is too long and cannot be changed ({reason})")
 
 
 async def read_ratings(node: CanopenNode, units: Units) -> None:
@@ -72,8 +72,8 @@ async def set_limits(node: CanopenNode, binding: DeviceBinding, units: Units, no
     for (index, subindex), value in _limits(binding, units).items():
         try:
             await node.write(index, subindex, value)
-        except SdoRefused as refused:
-            note(log_messages.LIMIT_BY_DRIVER.line(reason=refused.reason))
+        except SdoRefused as refusal:
+            note(log_messages.LIMIT_BY_DRIVER.line(reason=refusal.reason))
 
 
 def _limits(binding: DeviceBinding, units: Units) -> Mapping[tuple[int, int], int]:
@@ -110,9 +110,9 @@ async def set_quick_stop(
 async def _set_hold(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
     try:
         await node.write(0x605A, 0, t.STOP_AND_HOLD)
-    except SdoRefused as refused:
+    except SdoRefused as refusal:
         raise error(
-            f"it cannot hold its torque after a quick stop ({refused.reason}); use another safe_state"
+            f"it cannot hold its torque after a quick stop ({refusal.reason}); use another safe_state"
         ) from None
 
 
@@ -141,8 +141,8 @@ async def set_watchdog(
         # An entry in use may only be changed after it was set to 0.
         await node.write_raw(0x1016, 1, _u32(0))
         await node.write(0x1016, 1, master << 16 | milliseconds)
-    except SdoRefused as refused:
-        note(log_messages.HEARTBEAT_IGNORED.line(reason=refused.reason))
+    except SdoRefused as refusal:
+        note(log_messages.HEARTBEAT_IGNORED.line(reason=refusal.reason))
         return None
     return (await node.read(0x1016, 1) & 0xFFFF) / 1000.0
 

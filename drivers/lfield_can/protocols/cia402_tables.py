@@ -86,12 +86,12 @@ class Direction:
     """Process data of one direction: records, mappings, required objects."""
 
     name: str
-    sent: bool
+    is_sent: bool
     record: int
     mapping: int
     first: int
-    ours: tuple[tuple[int, ...], ...]
-    needed: frozenset[int]
+    mappings: tuple[tuple[int, ...], ...]
+    required: frozenset[int]
 
 
 TPDO = Direction(
@@ -186,7 +186,7 @@ REGISTER: Mapping[int, str] = {
     0x08: "temperature",
     0x10: "communication",
     0x20: "drive profile",
-    0x80: "maker's own",
+    0x80: "manufacturer-specific",
 }
 
 #: Error codes (CiA 402-2, table of error codes; CiA 301, emergency error codes). An unlisted code has the

@@ -38,29 +38,29 @@ APART = 0.05
 class IdConflictProbe:
     """The rounds of one check. A late answer counts for its own round.
 
-    Without an excess answer it ends after `fewest` rounds.
+    Without an excess answer it ends after `min_rounds` rounds.
     """
 
-    def __init__(self, fewest: int = MIN_ROUNDS) -> None:
-        self._fewest = fewest
+    def __init__(self, min_rounds: int = MIN_ROUNDS) -> None:
+        self._min_rounds = min_rounds
         # By object: requests sent, requests seen, and answers.
         self._requests: dict[Key, int] = {}
         self._bus_requests: Counter[Key] = Counter()
         self._answers: Counter[Key] = Counter()
-        self._marks = 0
+        self._marker_count = 0
 
     def next_key(self) -> Key | None:
         """The object of the next round, after its marker; None when the result is known."""
-        done, surplus = len(self._requests), self._surplus
+        rounds, surplus = len(self._requests), self._surplus
         unanswered = sum(1 for key in self._requests if not self._answers[key])
         if (
             surplus >= MIN_SURPLUS
             or unanswered >= SILENT
-            or done >= (len(PROBED_OBJECTS) if surplus else self._fewest)
+            or rounds >= (len(PROBED_OBJECTS) if surplus else self._min_rounds)
         ):
             return None
-        self._requests[PROBED_OBJECTS[done]] = 0
-        return PROBED_OBJECTS[done]
+        self._requests[PROBED_OBJECTS[rounds]] = 0
+        return PROBED_OBJECTS[rounds]
 
     def on_request(self, key: Key) -> None:
         """Counts a request for an object from here."""
@@ -73,7 +73,7 @@ class IdConflictProbe:
 
     def on_marker_echo(self) -> None:
         """Counts a received marker: the adapter echoes."""
-        self._marks += 1
+        self._marker_count += 1
 
     def on_answer(self, key: Key) -> None:
         """Counts a received answer about an object."""
@@ -97,8 +97,8 @@ class IdConflictProbe:
 
     def _request_count(self, key: Key, sent: int) -> int:
         """The number of requests for an object, by all clients."""
-        returned = sent if 2 * self._marks > len(self._requests) else 0
-        return sent + max(0, self._bus_requests[key] - returned)
+        echoed = sent if 2 * self._marker_count > len(self._requests) else 0
+        return sent + max(0, self._bus_requests[key] - echoed)
 
 
 class Alternation:
@@ -114,9 +114,9 @@ class Alternation:
         if len(self._last) < 3:
             return
         (first, _, start), (between, _, _), (last, _, _) = self._last
-        way = max(abs(speed) for _, speed, _ in self._last) * (now - start)
-        there, back = abs(between - first), abs(last - between)
-        if min(there, back) > APART + 2.0 * way and abs(last - first) < 0.25 * there:
+        travel = max(abs(speed) for _, speed, _ in self._last) * (now - start)
+        outward, inward = abs(between - first), abs(last - between)
+        if min(outward, inward) > APART + 2.0 * travel and abs(last - first) < 0.25 * outward:
             self._returns.append(now)
 
     def is_proved(self, now: float) -> bool:

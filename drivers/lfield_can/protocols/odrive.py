@@ -25,16 +25,16 @@ class Odrive(AxisProtocol):
     CANSimple can neither set nor read it.
     """
 
-    def __init__(self, wiring: ProtocolContext) -> None:
-        super().__init__(wiring)
+    def __init__(self, context: ProtocolContext) -> None:
+        super().__init__(context)
         self._axis_state: int | None = None
         self._errors = 0
         self._alternation = Alternation()
         self._mode: tuple[int, int] | None = None
         #: Whether the axis was commanded to hold its position.
-        self._holds = False
+        self._is_holding = False
         #: Whether homing was requested and may still run: its heartbeat may not show it yet.
-        self._homing = False
+        self._homing_requested = False
 
     # -- messages of the device -------------------------------------------------------------------------
 
@@ -62,7 +62,7 @@ class Odrive(AxisProtocol):
     def _on_heartbeat(self, errors: int, axis_state: int) -> dict[str, object]:
         self._errors, self._axis_state = errors, axis_state
         if axis_state != t.CLOSED_LOOP:
-            self._mode, self._holds = None, False
+            self._mode, self._is_holding = None, False
         return self._state_telemetry()
 
     def _state_telemetry(self) -> dict[str, object]:
@@ -93,7 +93,7 @@ class Odrive(AxisProtocol):
 
     def _check_second_axis(self, position: float, velocity: float) -> None:
         """Checks whether estimates of two axes arrive under this id."""
-        now = self.wiring.clock.monotonic()
+        now = self.context.clock.monotonic()
         self._alternation.on_position(position, velocity, now)
         if self._alternation.is_proved(now):
             self.conflict = (
@@ -107,7 +107,7 @@ class Odrive(AxisProtocol):
         """Discards the state of an axis that has not responded for too long."""
         super().on_silence()
         self._axis_state = self._mode = None
-        self._holds = False
+        self._is_holding = False
         self.state.state = "silent"
 
     # -- setting up -------------------------------------------------------------------------------------
@@ -115,9 +115,9 @@ class Odrive(AxisProtocol):
     def prepare(self) -> None:
         """Checks the 6-bit node id, and limits that are only valid together."""
         if self.node > 63:
-            raise self.wiring.error(f"an ODrive's node id is 0 to 63, not {self.node}")
+            raise self.context.error(f"an ODrive's node id is 0 to 63, not {self.node}")
         if "current" in self.binding.limits and "speed" not in self.binding.limits:
-            raise self.wiring.error("an ODrive supports the limit 'current' only together with 'speed'")
+            raise self.context.error("an ODrive supports the limit 'current' only together with 'speed'")
 
     async def setup(self) -> str:
         """Waits for state and position; writes the limits of the axis."""
@@ -127,7 +127,7 @@ class Odrive(AxisProtocol):
             "it sent no heartbeat or no encoder estimates",
         )
         if self.conflict:
-            raise self.wiring.error(self.conflict)
+            raise self.context.error(self.conflict)
         speed, current = self.limit("speed"), self.limit("current")
         if speed is not None and current is not None:
             await self._command(t.SET_LIMITS, abs(speed * self.turns), current)
@@ -141,7 +141,7 @@ class Odrive(AxisProtocol):
     async def enable(self) -> None:
         """Enters closed loop, at a velocity of 0."""
         if self.state.fault:
-            raise self.wiring.error(f"enable refused: {self.state.fault}; resetFault() clears it")
+            raise self.context.error(f"enable refused: {self.state.fault}; resetFault() clears it")
         if self.state.enabled:
             return
         await self._command(t.SET_TORQUE, 0.0)
@@ -149,7 +149,7 @@ class Odrive(AxisProtocol):
         await self._set_mode(t.VELOCITY, t.DIRECT)
         await self._enter(t.CLOSED_LOOP, lambda: self.state.enabled or bool(self.state.fault))
         if self.state.fault:
-            raise self.wiring.error(f"enable failed: {self.state.fault}")
+            raise self.context.error(f"enable failed: {self.state.fault}")
 
     async def disable(self) -> None:
         """Enters idle."""
@@ -162,21 +162,21 @@ class Odrive(AxisProtocol):
 
     async def home(self) -> None:
         """Runs the homing sequence of the axis, which ends in idle or closed loop."""
-        self._homing = True
+        self._homing_requested = True
         try:
             await self._enter(t.HOMING, lambda: self._axis_state == t.HOMING)
             await self.expect(lambda: self._axis_state != t.HOMING, HOMING_TIMEOUT, "homing did not end")
         except DeviceError:
-            self._homing = False
+            self._homing_requested = False
             raise
-        self._homing = False
+        self._homing_requested = False
         if self._errors or self._axis_state not in (t.IDLE, t.CLOSED_LOOP):
-            raise self.wiring.error(f"homing failed ({self.state.fault or self.state.state})")
+            raise self.context.error(f"homing failed ({self.state.fault or self.state.state})")
         self.state.referenced = True
 
     async def start_move(self, position: float, speed: float) -> None:
         """Starts a motion by the trapezoidal profile of the axis."""
-        self._holds = False
+        self._is_holding = False
         await self._command(t.SET_TRAVEL_SPEED, abs(speed * self.turns))
         # A profile starts when the goal arrives, so the mode must be set before.
         if self._mode != (t.POSITION, t.TRAVEL):
@@ -196,13 +196,13 @@ class Odrive(AxisProtocol):
 
     async def set_velocity(self, velocity: float) -> None:
         """Sets a velocity; the value is sent before the mode, in which an old one must not take effect."""
-        self._holds = False
+        self._is_holding = False
         await self._command(t.SET_VELOCITY, velocity * self.turns, 0.0)
         await self._set_mode(t.VELOCITY, t.DIRECT)
 
     async def set_torque(self, torque: float) -> None:
         """Sets a torque of the motor, before the gear."""
-        self._holds = False
+        self._is_holding = False
         await self._command(t.SET_TORQUE, torque / (self.turns * math.tau))
         await self._set_mode(t.TORQUE, t.DIRECT)
 
@@ -217,17 +217,17 @@ class Odrive(AxisProtocol):
             # Held at its present position, not at an earlier one.
             self._mode = None
             await self._hold_here(t.DIRECT)
-            self._holds = True
+            self._is_holding = True
         else:
             await self._brake()
 
-    def is_safe(self, state: str, still: bool) -> bool:
+    def is_safe(self, state: str, is_still: bool) -> bool:
         """An idle axis cannot hold and need not."""
-        idle = self._axis_state == t.IDLE
+        is_idle = self._axis_state == t.IDLE
         if state == "torque_off":
-            return idle
-        holds = self._holds or state == "brake"
-        return still and (idle or (self._axis_state == t.CLOSED_LOOP and holds))
+            return is_idle
+        is_holding = self._is_holding or state == "brake"
+        return is_still and (is_idle or (self._axis_state == t.CLOSED_LOOP and is_holding))
 
     def _is_standing(self) -> bool:
         velocity = self.state.velocity
@@ -238,7 +238,7 @@ class Odrive(AxisProtocol):
     @property
     def _is_homing(self) -> bool:
         """Whether the axis is homing and ignores velocities."""
-        return self._homing or self._axis_state == t.HOMING
+        return self._homing_requested or self._axis_state == t.HOMING
 
     async def _brake(self) -> None:
         """Commands velocity 0, in closed loop after homing.
@@ -248,13 +248,13 @@ class Odrive(AxisProtocol):
         self._mode = None
         await self.set_velocity(0.0)
         if self._is_homing:
-            self._homing = False
+            self._homing_requested = False
             await self._command(t.SET_STATE, t.CLOSED_LOOP)
 
     async def _hold_here(self, input_mode: int) -> None:
         """Enters position mode at the present position."""
         if self.state.position is None:
-            raise self.wiring.error("its position is unknown")
+            raise self.context.error("its position is unknown")
         await self._command(t.SET_POSITION, self.state.position * self.turns, 0, 0)
         await self._set_mode(t.POSITION, input_mode)
 
@@ -272,5 +272,5 @@ class Odrive(AxisProtocol):
         try:
             data = t.LAYOUTS[command].pack(*values)
         except (struct.error, OverflowError):
-            raise self.wiring.error(f"{values[0]} is out of an ODrive's range; check 'gear'") from None
+            raise self.context.error(f"{values[0]} is out of an ODrive's range; check 'gear'") from None
         await self.bus.send(Frame(self.node << 5 | command, data))

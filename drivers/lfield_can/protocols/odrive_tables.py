@@ -86,6 +86,6 @@ ERRORS: Mapping[int, str] = {
 
 def error_text(bits: int) -> str:
     """Describes error bits, '' for none."""
-    known = [text for bit, text in ERRORS.items() if bits & bit]
-    rest = bits & ~sum(ERRORS)
-    return ", ".join([*known, *([f"unknown error 0x{rest:X}"] if rest else [])])
+    texts = [text for bit, text in ERRORS.items() if bits & bit]
+    unknown_bits = bits & ~sum(ERRORS)
+    return ", ".join([*texts, *([f"unknown error 0x{unknown_bits:X}"] if unknown_bits else [])])

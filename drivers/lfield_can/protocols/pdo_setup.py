@@ -82,12 +82,12 @@ class _PdoDirection:
     """One direction of the process data of one node."""
 
     def __init__(self, node: CanopenNode, number: int, direction: Direction, note: Note) -> None:
-        self._node, self._number, self._d, self._note = node, number, direction, note
+        self._node, self._number, self._direction, self._note = node, number, direction, note
         self._refusals: dict[int, str] = {}
         #: By PDO number from 0: COB-id and mapping as found.
         self._present: dict[int, tuple[int, tuple[int, ...]]] = {}
         #: Unused PDOs, from 0, whose ids others use.
-        self._given: list[int] = []
+        self._assigned: list[int] = []
         self.trigger = PdoTrigger.BY_TIMER
         #: Whether one of them needs SYNC.
         self.needs_sync = False
@@ -97,40 +97,46 @@ class _PdoDirection:
         for number in range(MAX_PDOS):
             with suppress(SdoRefused):
                 self._present[number] = await self._read(number)
-        mapped = await self._map_ours()
-        rest = [
+        mapped = await self._map_pdos()
+        others = [
             Pdo(number + 1, cob, entries)
             for number, (cob, entries) in self._present.items()
             if number + 1 not in mapped
         ]
-        missing = [entry for entries in self._d.ours for entry in entries if entry in self._refusals]
-        used = {**mapped, **{pdo.number: pdo for pdo in select_pdos(rest, missing)}}
+        missing = [
+            entry for entries in self._direction.mappings for entry in entries if entry in self._refusals
+        ]
+        used = {**mapped, **{pdo.number: pdo for pdo in select_pdos(others, missing)}}
         self._check(used.values(), missing, error)
         return [await self._use(used[number], used, error) for number in sorted(used)]
 
     async def _read(self, number: int) -> tuple[int, tuple[int, ...]]:
-        what = self._d.mapping + number
-        cob = int.from_bytes(await self._node.read_raw(self._d.record + number, 1), "little")
-        count = int.from_bytes(await self._node.read_raw(what, 0), "little")
-        found = [await self._node.read_raw(what, n + 1) for n in range(count if count <= MOST_ENTRIES else 0)]
-        return cob, tuple(int.from_bytes(data, "little") for data in found)
+        mapping = self._direction.mapping + number
+        cob = int.from_bytes(await self._node.read_raw(self._direction.record + number, 1), "little")
+        count = int.from_bytes(await self._node.read_raw(mapping, 0), "little")
+        entries = [
+            await self._node.read_raw(mapping, n + 1) for n in range(count if count <= MOST_ENTRIES else 0)
+        ]
+        return cob, tuple(int.from_bytes(data, "little") for data in entries)
 
-    async def _map_ours(self) -> dict[int, Pdo]:
+    async def _map_pdos(self) -> dict[int, Pdo]:
         """The PDOs with our mapping, by number."""
         mapped = {}
-        for number, entries in enumerate(self._d.ours):
+        for number, entries in enumerate(self._direction.mappings):
             try:
                 await self._map(number, entries)
-            except SdoRefused as refused:
-                self._refusals.update(dict.fromkeys(entries, refused.reason))
+            except SdoRefused as refusal:
+                self._refusals.update(dict.fromkeys(entries, refusal.reason))
             else:
-                mapped[number + 1] = Pdo(number + 1, self._d.first + 0x100 * number + self._number, entries)
+                mapped[number + 1] = Pdo(
+                    number + 1, self._direction.first + 0x100 * number + self._number, entries
+                )
         return mapped
 
     async def _map(self, number: int, entries: tuple[int, ...]) -> None:
         """Writes a mapping; the PDO must be disabled meanwhile (CiA 301, 7.5.2.36). Raises SdoRefused."""
-        cob, present = self._present.get(number, (self._d.first + 0x100 * number + self._number, ()))
-        await self._write(self._d.record + number, 1, cob | UNUSED, 4)
+        cob, present = self._present.get(number, (self._direction.first + 0x100 * number + self._number, ()))
+        await self._write(self._direction.record + number, 1, cob | UNUSED, 4)
         if present == entries:
             return
         try:
@@ -141,45 +147,45 @@ class _PdoDirection:
             raise
 
     async def _write_mapping(self, number: int, entries: Sequence[int]) -> None:
-        what = self._d.mapping + number
-        await self._write(what, 0, 0, 1)
+        mapping = self._direction.mapping + number
+        await self._write(mapping, 0, 0, 1)
         for position, entry in enumerate(entries, 1):
-            await self._write(what, position, entry, 4)
-        await self._write(what, 0, len(entries), 1)
+            await self._write(mapping, position, entry, 4)
+        await self._write(mapping, 0, len(entries), 1)
 
     def _check(
         self, used: Iterable[Pdo], missing: Sequence[int], error: Callable[[str], DeviceError]
     ) -> None:
         """Raises DeviceError for a missing required object; logs missing optional ones."""
-        held = {entry for pdo in used for entry in pdo.entries}
+        mapped = {entry for pdo in used for entry in pdo.entries}
         for entry in missing:
-            if entry in held:
+            if entry in mapped:
                 continue
-            if entry not in self._d.needed:
+            if entry not in self._direction.required:
                 self._note(
                     log_messages.PDO_LACKS.line(ability=t.OPTIONAL[entry], reason=self._refusals[entry])
                 )
                 continue
             name = t.OBJECTS[entry >> 16, 0][0]
             raise error(
-                f"no {self._d.name} contains {name} (0x{entry >> 16:04X}), and it cannot be mapped: "
+                f"no {self._direction.name} contains {name} (0x{entry >> 16:04X}), and it cannot be mapped: "
                 f"{self._refusals[entry]}. It has {self._describe()}; map it by the vendor's tool"
             )
 
     def _describe(self) -> str:
-        found = [
-            f"{self._d.name} {number + 1} with {' '.join(f'0x{entry >> 16:04X}' for entry in entries)}"
+        texts = [
+            f"{self._direction.name} {number + 1} with {' '.join(f'0x{e >> 16:04X}' for e in entries)}"
             for number, (_, entries) in self._present.items()
             if entries
         ]
-        return ", ".join(found) or f"no {self._d.name} with a mapping"
+        return ", ".join(texts) or f"no {self._direction.name} with a mapping"
 
     # -- enabling ---------------------------------------------------------------------------------------
 
     async def _use(self, pdo: Pdo, used: Mapping[int, Pdo], error: Callable[[str], DeviceError]) -> Pdo:
         """Sets times and id of a PDO, and enables it. Raises DeviceError."""
         number = pdo.number - 1
-        record, (cob, _) = self._d.record + number, self._present.get(number, (0, ()))
+        record, (cob, _) = self._direction.record + number, self._present.get(number, (0, ()))
         identifier = await self._id(pdo, used)
         # Some drives need the id before the PDO is enabled.
         for unused in dict.fromkeys((cob | UNUSED, identifier | cob & NO_REMOTE | UNUSED)):
@@ -189,34 +195,34 @@ class _PdoDirection:
         try:
             await self._write(record, 1, identifier | cob & NO_REMOTE, 4)
         except SdoRefused:
-            now = int.from_bytes(await self._node.read_raw(record, 1), "little")
-            if now & ~NO_REMOTE != identifier:
+            current = int.from_bytes(await self._node.read_raw(record, 1), "little")
+            if current & ~NO_REMOTE != identifier:
                 raise
         return Pdo(pdo.number, identifier, pdo.entries)
 
     async def _id(self, pdo: Pdo, used: Mapping[int, Pdo]) -> int:
         """An id of the node itself: that of the PDO's number, or for a fifth PDO that of an unused one."""
-        own = [self._d.first + 0x100 * n + self._number for n in range(4)]
-        if pdo.number <= len(own):
-            return own[pdo.number - 1]
-        free = [n for n in range(len(own)) if n + 1 not in used and n not in self._given]
-        if not free:
+        ids = [self._direction.first + 0x100 * n + self._number for n in range(4)]
+        if pdo.number <= len(ids):
+            return ids[pdo.number - 1]
+        unused = [n for n in range(len(ids)) if n + 1 not in used and n not in self._assigned]
+        if not unused:
             return self._present[pdo.number - 1][0] & 0x7FF
-        self._given.append(free[0])
-        if free[0] in self._present:
-            await self._write(self._d.record + free[0], 1, self._present[free[0]][0] | UNUSED, 4)
-        return own[free[0]]
+        self._assigned.append(unused[0])
+        if unused[0] in self._present:
+            await self._write(self._direction.record + unused[0], 1, self._present[unused[0]][0] | UNUSED, 4)
+        return ids[unused[0]]
 
     async def _times(self, pdo: Pdo, record: int, error: Callable[[str], DeviceError]) -> PdoTrigger:
         """The best available trigger of a PDO. Raises DeviceError if it is sent for remote frames only."""
         kind = await self._write_number(record, 2, BY_EVENT, 1)
-        if not self._d.sent:
+        if not self._direction.is_sent:
             self.needs_sync |= kind <= LAST_SYNC
             return PdoTrigger.BY_TIMER
         if LAST_SYNC < kind < FIRST_EVENT:
             raise error(
-                f"{self._d.name} {pdo.number} is sent only on a remote frame (transmission type {kind}), and "
-                "that cannot be changed; set it to 255 by the vendor's tool"
+                f"{self._direction.name} {pdo.number} is sent only on a remote frame (transmission type "
+                f"{kind}), and that cannot be changed; set it to 255 by the vendor's tool"
             )
         await self._lower_inhibit(pdo, record)
         timer = await self._write_number(record, 5, round(t.EVERY * 1000), 2) if kind > LAST_SYNC else 0
@@ -224,7 +230,7 @@ class _PdoDirection:
             return PdoTrigger.BY_TIMER
         kind = await self._write_number(record, 2, BY_SYNC, 1)
         self.needs_sync |= kind <= LAST_SYNC
-        name = f"{self._d.name} {pdo.number}"
+        name = f"{self._direction.name} {pdo.number}"
         if 0 < kind <= MOST_SYNCS:
             self._note(log_messages.PDO_BY_SYNC.line(pdo=name))
             return PdoTrigger.BY_SYNC
@@ -234,12 +240,12 @@ class _PdoDirection:
     async def _lower_inhibit(self, pdo: Pdo, record: int) -> None:
         """Makes an inhibit time shorter than the period. Raises SdoRefused."""
         with suppress(SdoRefused):
-            held = int.from_bytes(await self._node.read_raw(record, 3), "little")
-            if held > t.EVERY * 10_000:
-                left = await self._write_number(record, 3, 0, 2)
-                if left > LONGEST_INHIBIT:
-                    name = f"{self._d.name} {pdo.number}"
-                    self._note(log_messages.PDO_SLOW.line(pdo=name, milliseconds=left / 10))
+            previous = int.from_bytes(await self._node.read_raw(record, 3), "little")
+            if previous > t.EVERY * 10_000:
+                inhibit_time = await self._write_number(record, 3, 0, 2)
+                if inhibit_time > LONGEST_INHIBIT:
+                    name = f"{self._direction.name} {pdo.number}"
+                    self._note(log_messages.PDO_SLOW.line(pdo=name, milliseconds=inhibit_time / 10))
 
     async def _write_number(self, index: int, subindex: int, value: int, size: int) -> int:
         """Writes a number; returns the resulting value, 0 if there is none."""

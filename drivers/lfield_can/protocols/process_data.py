@@ -50,9 +50,9 @@ def size_of(entry: int) -> int:
 def select_pdos(present: Iterable[Pdo], required: Collection[int]) -> list[Pdo]:
     """The PDOs with the required objects; each object from the PDO with the fewest others."""
     chosen: dict[int, Pdo] = {}
-    sound = sorted((pdo for pdo in present if pdo.fits), key=lambda pdo: (len(pdo.entries), pdo.number))
+    usable = sorted((pdo for pdo in present if pdo.fits), key=lambda pdo: (len(pdo.entries), pdo.number))
     for entry in required:
-        best = next((pdo for pdo in sound if entry in pdo.entries), None)
+        best = next((pdo for pdo in usable if entry in pdo.entries), None)
         if best is not None:
             chosen[best.number] = best
     return list(chosen.values())
@@ -95,6 +95,6 @@ class ProcessData:
         """Id and bytes of the frame for a value. Raises struct.error when it does not fit."""
         pdo = self._rpdos[entry]
         self._values[entry >> 8] = NUMBERS[entry].pack(value)
-        gap = bytes(LONGEST)
-        parts = (self._values.get(e >> 8, gap)[: size_of(e)] for e in pdo.entries)
+        padding = bytes(LONGEST)
+        parts = (self._values.get(e >> 8, padding)[: size_of(e)] for e in pdo.entries)
         return pdo.id, b"".join(parts)

@@ -4,8 +4,8 @@ Uploads are expedited or segmented, downloads expedited (at most four bytes). An
 the requested object, kind and, for a segment, toggle bit. Other frames are ignored.
 
 Two answers about one object look alike, even if the first is late. A server answers in order. So an object
-whose answer was missed is in *doubt*: before it is requested again, another object, the *probe*, is
-requested, if only for an abort. After that answer, older ones cannot follow.
+whose answer was missed is *unsynchronized*: before it is requested again, another object, the *probe*, is
+requested; its answer may be an abort. After that answer, no older answer can follow.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Key = tuple[int, int]
 
 # Kinds of requests and answers: the upper three bits of the first byte.
 _DOWNLOAD, _UPLOAD, _SEGMENT = 0x20, 0x40, 0x60
-_UPLOADED, _DOWNLOADED, _GIVEN = 0x40, 0x60, 0x00
+_UPLOADED, _DOWNLOADED, _SEGMENT_UPLOADED = 0x40, 0x60, 0x00
 _KIND = 0xE0
 #: The first byte of an abort, from either side; it has no answer.
 ABORT = 0x80
@@ -67,7 +67,7 @@ class Refused:
 class Failed:
     """Effect: there is no valid answer. `silent`: none arrived in time."""
 
-    why: str
+    reason: str
     silent: bool = False
 
 
@@ -93,11 +93,11 @@ class SdoClient:
         self._key: Key = (0, 0)
         self._request = b""
         #: The expected object of the answer, or a probe.
-        self._asked: Key = (0, 0)
-        self._left = self._toggle = 0
+        self._expected_key: Key = (0, 0)
+        self._attempts_left = self._toggle = 0
         self._data, self._size = b"", 0
-        #: Objects in doubt, with the sequence number of their last request.
-        self._doubted: dict[Key, int] = {}
+        #: Objects whose answer was missed, with the sequence number of their last request.
+        self._unsynchronized: dict[Key, int] = {}
         self._order = count()
 
     # -- events -----------------------------------------------------------------------------------------
@@ -116,50 +116,56 @@ class SdoClient:
         """Handles a frame of the server, eight bytes of any content."""
         if self._phase is _Phase.IDLE or len(frame) != 8:
             return []
-        if self._phase is _Phase.SEGMENTS and frame[0] & (_KIND | _TOGGLE) == _GIVEN | self._toggle:
+        if (
+            self._phase is _Phase.SEGMENTS
+            and frame[0] & (_KIND | _TOGGLE) == _SEGMENT_UPLOADED | self._toggle
+        ):
             return self._on_segment(frame)
         command, index, subindex = struct.unpack_from("<BHB", frame)
-        if (index, subindex) != self._asked:
+        if (index, subindex) != self._expected_key:
             return []
         if self._phase is _Phase.PROBING:
             return self._on_probe(command)
         if command == ABORT:
-            return [self._end(Refused(int.from_bytes(frame[4:], "little")))]
+            return [self._finish(Refused(int.from_bytes(frame[4:], "little")))]
         if self._phase is not _Phase.INITIATED:
             return []
-        uploads = self._request[0] & _KIND == _UPLOAD
-        if uploads and command & _KIND == _UPLOADED:
+        is_upload = self._request[0] & _KIND == _UPLOAD
+        if is_upload and command & _KIND == _UPLOADED:
             return self._on_upload(frame)
-        if not uploads and command & _KIND == _DOWNLOADED:
-            return [self._end(Done())]
+        if not is_upload and command & _KIND == _DOWNLOADED:
+            return [self._finish(Done())]
         return []
 
     def on_timeout(self) -> list[Effect]:
         """Handles a late answer: the transfer is repeated, or has failed."""
-        self._left -= 1
-        given_up = self._abandon(TIMED_OUT)
-        if not self._left:
-            return [given_up, self._end(Failed(f"no answer within {ANSWER:g} s, {TRIES} times", silent=True))]
-        return [given_up, self._probe() if self._phase is _Phase.PROBING else self._send_request()]
+        self._attempts_left -= 1
+        abort_request = self._abandon(TIMED_OUT)
+        if not self._attempts_left:
+            return [
+                abort_request,
+                self._finish(Failed(f"no answer within {ANSWER:g} s, {TRIES} times", silent=True)),
+            ]
+        return [abort_request, self._probe() if self._phase is _Phase.PROBING else self._send_request()]
 
     def on_cancelled(self) -> list[Effect]:
         """Aborts a transfer whose result is no longer needed."""
         if self._phase is _Phase.IDLE:
             return []
-        given_up = self._abandon(GENERAL_ERROR)
+        abort_request = self._abandon(GENERAL_ERROR)
         self._phase = _Phase.IDLE
-        return [given_up]
+        return [abort_request]
 
     # -- a transfer -------------------------------------------------------------------------------------
 
     def _start(self, key: Key, request: bytes) -> list[Effect]:
         assert self._phase is _Phase.IDLE, "one transfer at a time"
-        self._key, self._request, self._left = key, request, TRIES
-        return [self._probe() if key in self._doubted else self._send_request()]
+        self._key, self._request, self._attempts_left = key, request, TRIES
+        return [self._probe() if key in self._unsynchronized else self._send_request()]
 
     def _send_request(self) -> Send:
         """The first request of the transfer. A late answer to an earlier attempt of it is valid too."""
-        self._phase, self._asked = _Phase.INITIATED, self._key
+        self._phase, self._expected_key = _Phase.INITIATED, self._key
         self._data, self._toggle = b"", 0
         return Send(self._request, ANSWER)
 
@@ -168,7 +174,7 @@ class SdoClient:
         command, value = frame[0], frame[4:]
         if command & _EXPEDITED:
             length = 4 - (command >> 2 & 3) if command & _SIZED else 4
-            return [self._end(Done(value[:length]))]
+            return [self._finish(Done(value[:length]))]
         self._size = int.from_bytes(value, "little") if command & _SIZED else 0
         if self._size > LONGEST:
             return self._refuse(NO_MEMORY, f"received {self._size} bytes, more than {LONGEST}")
@@ -190,36 +196,36 @@ class SdoClient:
             self._toggle ^= _TOGGLE
             return [self._next_segment()]
         if self._size and len(self._data) != self._size:
-            return [self._end(Failed(f"received {len(self._data)} bytes of {self._size}"))]
-        return [self._end(Done(self._data))]
+            return [self._finish(Failed(f"received {len(self._data)} bytes of {self._size}"))]
+        return [self._finish(Done(self._data))]
 
-    def _refuse(self, code: int, why: str) -> list[Effect]:
+    def _refuse(self, code: int, reason: str) -> list[Effect]:
         """Ends an invalid transfer; another attempt would be invalid too."""
-        return [Send(abort(self._asked, code)), self._end(Failed(why))]
+        return [Send(abort(self._expected_key, code)), self._finish(Failed(reason))]
 
-    def _end(self, result: Result) -> Result:
+    def _finish(self, result: Result) -> Result:
         self._phase = _Phase.IDLE
         return result
 
-    # -- doubt ------------------------------------------------------------------------------------------
+    # -- missed answers ---------------------------------------------------------------------------------
 
     def _abandon(self, code: int) -> Send:
         """Aborts a transfer: a late answer must not be accepted; the server may discard the transfer."""
-        self._doubted[self._asked] = next(self._order)
-        return Send(abort(self._asked, code))
+        self._unsynchronized[self._expected_key] = next(self._order)
+        return Send(abort(self._expected_key, code))
 
     def _probe(self) -> Send:
-        """Requests an object that is not in doubt, else the one in doubt for longest."""
+        """Requests a synchronized object, else the one whose answer was missed first."""
         candidates = (key for key in PROBES if key != self._key)
         self._phase = _Phase.PROBING
-        self._asked = min(candidates, key=lambda key: self._doubted.get(key, -1))
-        return Send(_frame(_UPLOAD, self._asked), ANSWER)
+        self._expected_key = min(candidates, key=lambda key: self._unsynchronized.get(key, -1))
+        return Send(_frame(_UPLOAD, self._expected_key), ANSWER)
 
     def _on_probe(self, command: int) -> list[Effect]:
         """All earlier answers of the server have arrived, or are lost."""
         if command != ABORT and command & _KIND != _UPLOADED:
             return []
-        self._doubted.clear()
+        self._unsynchronized.clear()
         return [self._send_request()]
 
 

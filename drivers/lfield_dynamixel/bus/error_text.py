@@ -3,7 +3,7 @@
 Protocol 2.0 has a number in the low seven bits and an alert in bit 7 ("look at the hardware error register");
 protocol 1.0 has a bit for each error. Hardware Error Status: e-manual of the X series, address 70 (63 selects
 those that switch the torque off). A Feetech servo (protocol 0) has its status as the error byte of every
-answer and reports no refusal: written values must be read back.
+answer, and does not report refusals: written values must be read back.
 """
 
 from __future__ import annotations

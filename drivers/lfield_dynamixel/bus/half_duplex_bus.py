@@ -1,8 +1,8 @@
 """The half-duplex bus: one exchange at a time, on the loop of the guard, each with a deadline.
 
 An exchange is a packet and its answers. It always completes, even if its caller was cancelled: a late answer
-must not count as that to the next request. Urgent exchanges (safe states) go first; they wait at most for
-the present one.
+must not count as the answer to the next request. Urgent exchanges (safe states) go first; they wait at most
+for the present one.
 """
 
 from __future__ import annotations
@@ -176,11 +176,11 @@ class Bus:
         listens: bool = False,
     ) -> Exchange:
         assert self._port is not None, "the bus is open here"
-        answer = (protocol.overhead + size) * len(numbers)
-        on_wire = 10.0 * (len(packet) + answer) / self._port.baud
-        late = 2.0 * self._port.latency + EXTRA_TIME if numbers else 0.0
+        answer_bytes = (protocol.overhead + size) * len(numbers)
+        transmission_time = 10.0 * (len(packet) + answer_bytes) / self._port.baud
+        delay = 2.0 * self._port.latency + EXTRA_TIME if numbers else 0.0
         done = asyncio.get_running_loop().create_future()
-        return Exchange(packet, numbers, size, on_wire + late, protocol.reader(), done, listens)
+        return Exchange(packet, numbers, size, transmission_time + delay, protocol.reader(), done, listens)
 
     async def _execute(self, exchange: Exchange, urgency: int) -> list[Status]:
         heapq.heappush(self._waiting, (urgency, next(self._order), exchange))

@@ -15,12 +15,12 @@ from typing import Protocol
 from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, INST_SYNC_WRITE, MAX_ID
 
 #: A longer status packet is noise (the SDK's own bound).
-LONGEST = 1024
+MAX_PACKET_LENGTH = 1024
 #: Bytes kept of an incomplete packet.
-MAX_BUFFER = LONGEST + 7
+MAX_BUFFER = MAX_PACKET_LENGTH + 7
 
 #: Packets whose echo may be pending; a packet without answer does not wait for its own.
-MOST_AWAITED = 8
+MAX_PENDING_ECHOES = 8
 
 _HEADER = b"\xff\xff\xfd"
 
@@ -101,13 +101,13 @@ class Reader2:
 
     def feed(self, data: bytes) -> list[Status]:
         """The packets that are now complete."""
-        buffer, at, found = self._buffer + data, 0, []
+        buffer, at, packets = self._buffer + data, 0, []
         while True:
             at = buffer.find(_HEADER, at)
             if at < 0 or len(buffer) < at + 7:
                 break
             length = buffer[at + 5] | buffer[at + 6] << 8
-            if buffer[at + 3] != 0 or not 4 <= length <= LONGEST:
+            if buffer[at + 3] != 0 or not 4 <= length <= MAX_PACKET_LENGTH:
                 at += 3
                 continue
             end = at + 7 + length
@@ -115,12 +115,12 @@ class Reader2:
                 break
             status = _status2(buffer[at:end])
             if status is not None:
-                found.append(status)
+                packets.append(status)
             # An invalid packet may be a header in noise: the next one may start within it.
             at = end if status is not None else at + 3
         # Two bytes may be part of a header.
         self._buffer = (buffer[at:] if at >= 0 else buffer[-2:])[-MAX_BUFFER:]
-        return found
+        return packets
 
 
 def _status2(packet: bytes) -> Status | None:
@@ -171,7 +171,7 @@ class Reader1:
 
     def feed(self, data: bytes) -> list[Status]:
         """The packets that are now complete."""
-        buffer, at, found = self._buffer + data, 0, []
+        buffer, at, packets = self._buffer + data, 0, []
         while True:
             at = buffer.find(b"\xff\xff", at)
             if at < 0 or len(buffer) < at + 4:
@@ -182,12 +182,12 @@ class Reader1:
                 continue
             if len(buffer) < end:
                 break
-            sound = sum(buffer[at + 2 : end]) & 0xFF == 0xFF
-            if sound:
-                found.append(Status(buffer[at + 2], buffer[at + 4], buffer[at + 5 : end - 1]))
-            at = end if sound else at + 1
+            is_valid = sum(buffer[at + 2 : end]) & 0xFF == 0xFF
+            if is_valid:
+                packets.append(Status(buffer[at + 2], buffer[at + 4], buffer[at + 5 : end - 1]))
+            at = end if is_valid else at + 1
         self._buffer = (buffer[at:] if at >= 0 else buffer[-1:])[-MAX_BUFFER:]
-        return found
+        return packets
 
 
 #: Either protocol: both have `version`, `overhead`, `encode` and `reader`.
@@ -210,24 +210,24 @@ class EchoFilter:
     """
 
     def __init__(self) -> None:
-        self._awaited: deque[bytes] = deque(maxlen=MOST_AWAITED)
-        self._held = b""
+        self._pending_echoes: deque[bytes] = deque(maxlen=MAX_PENDING_ECHOES)
+        self._buffer = b""
 
     def on_sent(self, packet: bytes) -> None:
-        self._awaited.append(packet)
+        self._pending_echoes.append(packet)
 
     def strip(self, data: bytes) -> bytes:
         """The received bytes without echoes; a partial echo is held back until it is complete."""
-        self._held += data
-        passed = b""
-        while self._awaited:
-            echo = self._awaited[0]
-            if (at := self._held.find(echo)) >= 0:
+        self._buffer += data
+        output = b""
+        while self._pending_echoes:
+            echo = self._pending_echoes[0]
+            if (at := self._buffer.find(echo)) >= 0:
                 # Bytes before it are noise, or a damaged echo.
-                passed += self._held[:at]
-                self._held = self._held[at + len(echo) :]
-            elif len(self._held) < len(echo):
-                return passed
-            self._awaited.popleft()
-        passed, self._held = passed + self._held, b""
-        return passed
+                output += self._buffer[:at]
+                self._buffer = self._buffer[at + len(echo) :]
+            elif len(self._buffer) < len(echo):
+                return output
+            self._pending_echoes.popleft()
+        output, self._buffer = output + self._buffer, b""
+        return output

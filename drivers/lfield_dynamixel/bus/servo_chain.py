@@ -1,8 +1,8 @@
 """Reads and writes control tables on a bus, with retries and protection against late answers.
 
-Answers do not identify their request. So a servo whose answer was missed is *doubted*: before its next answer
-is accepted it must answer a ping, whose data has a length that no read here requests. A servo answers in
-order; after the ping's answer, older ones cannot follow.
+An answer does not identify its request. So a servo whose answer was missed is *unsynchronized*: before its
+next answer is accepted, it must answer a ping, whose data has a length that no read here requests. A servo
+answers in order: after the answer to the ping, no older answer can follow.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from lfield_dynamixel.bus.packets import PROTOCOLS, AnyProtocol, Status, split_f
 
 #: Attempts of a request before a servo counts as silent.
 TRIES = 5
-#: Consecutive failures of fast reads while plain ones work: some servo does not support them.
+#: Consecutive failures of fast reads while plain reads work: at least one servo does not support fast reads.
 FAST_FAILURES = 3
 #: Plain reads until a fast one is tried again: the cause may have been a lost servo or port.
 FAST_RETRY_READS = 200
 
-#: Rounds of an id check: with one answer each until there is one servo, with two answers that prove a second
-#: one, and at most.
-FEWEST_ROUNDS, PROOF, MOST_ROUNDS = 4, 3, 12
+#: Rounds of an id check: minimum with one answer each, excess of rounds with two answers that proves a second
+#: servo, maximum.
+FEWEST_ROUNDS, PROOF_ROUNDS, MOST_ROUNDS = 4, 3, 12
 
 _PING_BYTES = {0: 0, 1: 0, 2: 3}
 
@@ -43,9 +43,9 @@ _PING_BYTES = {0: 0, 1: 0, 2: 3}
 class NoAnswer(DeviceError):
     """A servo that does not answer; `number` is its id."""
 
-    def __init__(self, number: int, why: str = "") -> None:
+    def __init__(self, number: int, cause: str = "") -> None:
         self.number = number
-        reason = f"servo {number} does not answer" + (f": {why}" if why else "")
+        reason = f"servo {number} does not answer" + (f": {cause}" if cause else "")
         super().__init__(f"servo {number}", reason, kind="DeviceTimeoutException")
 
 
@@ -80,7 +80,7 @@ class Chain:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._doubted: set[int] = set()
+        self._unsynchronized: set[int] = set()
         self._fast_failures = self._plain_reads = 0
 
     async def ping(self, node: Node, *, urgency: int = COMMAND) -> bytes | None:
@@ -88,9 +88,9 @@ class Chain:
         size = _PING_BYTES[node.protocol]
         answers = await self._request(node, INST_PING, b"", size, urgency)
         if not answers or len(answers[0].data) != size:
-            self._doubted.add(node.number)
+            self._unsynchronized.add(node.number)
             return None
-        self._doubted.discard(node.number)
+        self._unsynchronized.discard(node.number)
         return answers[0].data
 
     async def read(self, node: Node, start: int, size: int, *, urgency: int = COMMAND) -> Status:
@@ -117,23 +117,23 @@ class Chain:
 
         Two servos both answer: one after the other, or at once, which damages the answer. Answers get lost,
         so there are several rounds, at least `fewest`, and a single one proves nothing. An answer that is
-        late, of a slow adapter or on a busy computer, is missing in its own round and the second one of the
-        next; so a round without any answer cancels one with two.
+        late (slow adapter, busy computer) is missing in its own round and is the second answer of the next
+        round; so a round without any answer cancels a round with two.
         """
         packet = node.codec.encode(node.number, INST_READ, node.place(start, size))
-        single = doubled = damaged = empty = 0
+        single_rounds = double_rounds = damaged_rounds = empty_rounds = 0
         for _ in range(MOST_ROUNDS):
             data = await self._bus.listen(node.codec, packet, size, urgency=urgency)
             answers = [a for a in node.codec.reader().feed(data) if a.number == node.number]
-            doubled += len(answers) > 1
-            single += len(answers) == 1
-            damaged += bool(data) and not answers
-            empty += not data
-            if doubled - empty >= PROOF:
+            double_rounds += len(answers) > 1
+            single_rounds += len(answers) == 1
+            damaged_rounds += bool(data) and not answers
+            empty_rounds += not data
+            if double_rounds - empty_rounds >= PROOF_ROUNDS:
                 return f"two servos answer to the id {node.number}; give each its own"
-            if single >= fewest + 2 * (doubled + damaged):
+            if single_rounds >= fewest + 2 * (double_rounds + damaged_rounds):
                 return ""
-        if damaged > MOST_ROUNDS // 2:
+        if damaged_rounds > MOST_ROUNDS // 2:
             return (
                 f"the answers of servo {node.number} are damaged: check whether two servos have this id, and "
                 "the wires"
@@ -143,7 +143,7 @@ class Chain:
     async def reboot(self, node: Node) -> None:
         """Restarts a servo. It may answer before it restarts; the caller must verify that it is back."""
         await self._request(node, INST_REBOOT, b"", 0, COMMAND)
-        self._doubted.add(node.number)
+        self._unsynchronized.add(node.number)
 
     async def sync_write(
         self, start: int, data: Mapping[int, bytes], *, protocol: int = 2, urgency: int = COMMAND
@@ -161,45 +161,49 @@ class Chain:
         """Reads the same range of several servos, by id. A missing servo has answered neither in the group
         nor (unless `alone` is False, which saves time) alone. Raises nothing.
         """
-        sure = [node for node in nodes if node.protocol != 1 and node.number not in self._doubted]
-        found = await self._read_group(sure, start, size, urgency) if len(sure) > 1 else {}
+        synchronized = [
+            node for node in nodes if node.protocol != 1 and node.number not in self._unsynchronized
+        ]
+        answers = await self._read_group(synchronized, start, size, urgency) if len(synchronized) > 1 else {}
         for node in nodes:
-            if node.number in found or not (alone or len(nodes) == 1):
+            if node.number in answers or not (alone or len(nodes) == 1):
                 continue
             try:
-                found[node.number] = await self.read(node, start, size, urgency=urgency)
+                answers[node.number] = await self.read(node, start, size, urgency=urgency)
             except (NoAnswer, ServoRefusal):
                 continue
-        return found
+        return answers
 
     async def _read_group(
         self, nodes: Sequence[Node], start: int, size: int, urgency: int
     ) -> dict[int, Status]:
         """The answers to a fast sync read of protocol 2.0, or to a plain one if fast ones do not work."""
         numbers = tuple(node.number for node in nodes)
-        works = self._fast_failures < FAST_FAILURES or self._plain_reads >= FAST_RETRY_READS
-        fast = nodes[0].protocol == 2 and works
-        self._plain_reads = 0 if fast else self._plain_reads + 1
-        instruction = INST_FAST_SYNC_READ if fast else INST_SYNC_READ
+        may_be_fast = self._fast_failures < FAST_FAILURES or self._plain_reads >= FAST_RETRY_READS
+        is_fast = nodes[0].protocol == 2 and may_be_fast
+        self._plain_reads = 0 if is_fast else self._plain_reads + 1
+        instruction = INST_FAST_SYNC_READ if is_fast else INST_SYNC_READ
         codec = nodes[0].codec
         packet = codec.encode(BROADCAST_ID, instruction, nodes[0].place(start, size) + bytes(numbers))
-        asked, length = ((BROADCAST_ID,), (size + 4) * len(numbers) - 3) if fast else (numbers, size)
-        answers = await self._bus.exchange(codec, packet, asked, length, urgency=urgency)
-        if fast:
-            whole = split_fast(answers[0], numbers, size) if answers else None
-            self._fast_failures = 0 if whole else self._fast_failures + 1
-            # The probe was answered under another id, so later answers are not in doubt.
-            return whole or {}
-        found = {answer.number: answer for answer in answers if len(answer.data) == size}
-        self._doubted.update(set(numbers) - found.keys())
-        return found
+        answering_ids, length = (
+            ((BROADCAST_ID,), (size + 4) * len(numbers) - 3) if is_fast else (numbers, size)
+        )
+        answers = await self._bus.exchange(codec, packet, answering_ids, length, urgency=urgency)
+        if is_fast:
+            parts = split_fast(answers[0], numbers, size) if answers else None
+            self._fast_failures = 0 if parts else self._fast_failures + 1
+            # A fast answer has the broadcast id, so it cannot be mistaken for a later answer.
+            return parts or {}
+        statuses = {answer.number: answer for answer in answers if len(answer.data) == size}
+        self._unsynchronized.update(set(numbers) - statuses.keys())
+        return statuses
 
     async def _request_with_retries(
         self, node: Node, instruction: int, parameters: bytes, size: int, urgency: int
     ) -> Status:
         """Repeats a request until it is answered with the requested length."""
         for _ in range(TRIES):
-            if node.number in self._doubted and await self.ping(node, urgency=urgency) is None:
+            if node.number in self._unsynchronized and await self.ping(node, urgency=urgency) is None:
                 continue
             answers = await self._request(node, instruction, parameters, size, urgency)
             if answers:
@@ -208,7 +212,7 @@ class Chain:
                     raise ServoRefusal(node.number, answers[0].error, refusal)
                 if len(answers[0].data) == size:
                     return answers[0]
-            self._doubted.add(node.number)
+            self._unsynchronized.add(node.number)
         raise NoAnswer(node.number, self._bus.is_lost)
 
     async def _request(

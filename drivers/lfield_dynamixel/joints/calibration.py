@@ -41,8 +41,8 @@ def read(path: str) -> dict[str, JointCalibration]:
     try:
         return parsed(path, read_within(Path(path), MAX_BYTES))
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise DeviceError(OPTION, f"{path} cannot be read: {why}") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise DeviceError(OPTION, f"{path} cannot be read: {reason}") from None
 
 
 def parsed(name: str, data: bytes) -> dict[str, JointCalibration]:
@@ -51,26 +51,30 @@ def parsed(name: str, data: bytes) -> dict[str, JointCalibration]:
     try:
         joints = msgspec.json.decode(data, type=dict[str, JointCalibration])
     except msgspec.DecodeError as error:
-        old = "; it is of an older LeRobot: run lerobot-calibrate again" if b'"motor_names"' in data else ""
-        raise DeviceError(OPTION, f"{name} is not a calibration of LeRobot: {error}{old}") from None
-    found = [f"joint {joint!r}: {why}" for joint, entry in joints.items() if (why := _mistake(joint, entry))]
-    twice = [id for id, count in Counter(entry.id for entry in joints.values()).items() if count > 1]
-    found += [f"two joints have the servo id {id}" for id in twice]
-    found += [f"'{key}' is written twice" for key in _repeated_keys(data)]
-    if found or not joints:
-        raise DeviceError(OPTION, f"{name}: {'; '.join(found) or 'it has no joints'}")
+        hint = "; it is of an older LeRobot: run lerobot-calibrate again" if b'"motor_names"' in data else ""
+        raise DeviceError(OPTION, f"{name} is not a calibration of LeRobot: {error}{hint}") from None
+    mistakes = [
+        f"joint {joint!r}: {mistake}"
+        for joint, entry in joints.items()
+        if (mistake := _mistake(joint, entry))
+    ]
+    repeated_ids = [id for id, count in Counter(entry.id for entry in joints.values()).items() if count > 1]
+    mistakes += [f"two joints have the servo id {id}" for id in repeated_ids]
+    mistakes += [f"'{key}' is written twice" for key in _repeated_keys(data)]
+    if mistakes or not joints:
+        raise DeviceError(OPTION, f"{name}: {'; '.join(mistakes) or 'it has no joints'}")
     return joints
 
 
 def _repeated_keys(data: bytes) -> list[str]:
     """The keys that an object of a JSON text has more than once; decoders silently use the last one."""
-    found: list[str] = []
+    repeated_keys: list[str] = []
 
     def check(pairs: list[tuple[str, object]]) -> None:
-        found.extend(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        repeated_keys.extend(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
 
     json.loads(data, object_pairs_hook=check)
-    return found
+    return repeated_keys
 
 
 def mistakes_in(option: str, file: str) -> tuple[()]:
@@ -85,14 +89,14 @@ def for_servos(path: str, numbers: list[int], names: list[str]) -> Mapping[int, 
     `names` are those of the binding, in the order of the ids; empty if it has none.
     """
     by_id = {entry.id: (joint, entry) for joint, entry in read(path).items()}
-    found = [f"it has no joint of servo {number}" for number in numbers if number not in by_id]
+    mistakes = [f"it has no joint of servo {number}" for number in numbers if number not in by_id]
     for number, name in zip(numbers, names, strict=False):
         if number in by_id and by_id[number][0] != name:
-            found.append(
+            mistakes.append(
                 f"servo {number} is the joint '{by_id[number][0]}' in it, but the binding says '{name}'"
             )
-    if found:
-        raise DeviceError(OPTION, f"{path}: {'; '.join(found)}")
+    if mistakes:
+        raise DeviceError(OPTION, f"{path}: {'; '.join(mistakes)}")
     return {number: by_id[number] for number in numbers}
 
 
@@ -102,5 +106,5 @@ def _mistake(joint: str, entry: JointCalibration) -> str:
     low, high = entry.range_min, entry.range_max
     if low < high:
         return ""
-    what = "is reversed" if low > high else "is empty"
-    return f"its range {what} (range_min {low}, range_max {high}); calibrate it again"
+    fault = "is reversed" if low > high else "is empty"
+    return f"its range {fault} (range_min {low}, range_max {high}); calibrate it again"

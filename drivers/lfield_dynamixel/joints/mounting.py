@@ -56,15 +56,15 @@ class Joint:
             return self
         last = model.last
         if entry.range_max > last or not model.has_homing(entry.homing_offset):
-            why = f"range_max {entry.range_max}, homing_offset {entry.homing_offset}"
+            values = f"range_max {entry.range_max}, homing_offset {entry.homing_offset}"
             raise DeviceError(
                 OPTION,
                 f"servo {self.label}: its calibration is not of a {model.name}, whose positions are 0 to "
-                f"{last}: {why}",
+                f"{last}: {values}",
             )
-        turned = -1 if entry.drive_mode and model.protocol != 2 else 1
+        drive_direction = -1 if entry.drive_mode and model.protocol != 2 else 1
         zero = model.to_angle(0) + model.position * (entry.range_min + entry.range_max) / 2.0
-        joint = replace(self, direction=self.direction * turned, zero=zero)
+        joint = replace(self, direction=self.direction * drive_direction, zero=zero)
         low, high = sorted(joint.to_joint(model.to_angle(c)) for c in (entry.range_min, entry.range_max))
         return replace(joint, lowest=max(low, self.lowest), highest=min(high, self.highest))
 
@@ -78,9 +78,9 @@ def ids_of(binding: DeviceBinding) -> list[int]:
 def joints_of(binding: DeviceBinding) -> dict[int, Joint]:
     """The joints of a binding by the ids of their servos, in order. Raises DeviceError."""
     numbers, names = ids_of(binding), _names(binding)
-    if twice := [number for number, count in Counter(numbers).items() if count > 1]:
+    if repeated := [number for number, count in Counter(numbers).items() if count > 1]:
         raise DeviceError(
-            binding.field, f"its binding names servo {twice[0]} twice; give each servo its own id"
+            binding.field, f"its binding names servo {repeated[0]} twice; give each servo its own id"
         )
     if len(names) not in (0, len(numbers)) or len(set(names)) < len(names):
         raise DeviceError(

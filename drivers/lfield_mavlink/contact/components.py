@@ -20,7 +20,7 @@ GIMBALS: Sequence[int] = (
     *range(dialect.MAV_COMP_ID_GIMBAL2, dialect.MAV_COMP_ID_GIMBAL6 + 1),
 )
 #: Seconds without a heartbeat after which a component is gone; it is sent at 1 Hz.
-GONE = 5.0
+HEARTBEAT_TIMEOUT = 5.0
 
 _IDS = frozenset({*CAMERAS, *GIMBALS})
 #: Messages of cameras and gimbals that are decoded.
@@ -51,23 +51,23 @@ class Components:
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
-        self._beats: dict[int, float] = {}
+        self._last_heartbeats: dict[int, float] = {}
         #: Set at the first heartbeat of any component.
         self.appeared = asyncio.Event()
 
     def on_heartbeat(self, component: int) -> None:
         """Handles a heartbeat of a camera or gimbal."""
-        self._beats[component] = self._now()
+        self._last_heartbeats[component] = self._now()
         self.appeared.set()
 
     def present(self, ids: Sequence[int]) -> list[int]:
         """The given ids whose heartbeats arrive, in the same order."""
-        oldest = self._now() - GONE
-        return [component for component in ids if self._beats.get(component, -math.inf) > oldest]
+        oldest = self._now() - HEARTBEAT_TIMEOUT
+        return [component for component in ids if self._last_heartbeats.get(component, -math.inf) > oldest]
 
     def known(self, ids: Sequence[int]) -> list[int]:
         """The given ids whose heartbeats have ever arrived, in the same order."""
-        return [component for component in ids if component in self._beats]
+        return [component for component in ids if component in self._last_heartbeats]
 
 
 class PayloadSources:
@@ -84,12 +84,12 @@ class PayloadSources:
         """Whether a packet is of a component: system and component id; `kind` is the message id."""
         if source.link not in self._links:
             return False
-        known, beat = self._sources.get(component, (source, -math.inf))
-        is_current = known == source or now - beat > GONE
+        source_in_use, last_heartbeat = self._sources.get(component, (source, -math.inf))
+        is_current = source_in_use == source or now - last_heartbeat > HEARTBEAT_TIMEOUT
         if is_current and kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             self._sources[component] = source, now
         return is_current and component in self._sources
 
     def source(self, component: tuple[int, int]) -> Source | None:
-        """The address of a component; None for the way to the autopilot."""
+        """The address of a component; None for the route of the autopilot."""
         return self._sources.get(component, (None, 0.0))[0]

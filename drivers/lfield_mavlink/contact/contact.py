@@ -20,8 +20,8 @@ from lfield_mavlink.station_ids import station_of
 
 #: Seconds without a message after which the link is lost: a call must fail within 3 s.
 LINK_LOST = 2.7
-#: Seconds for a state to show after it was accepted. PX4 reports arming only once a second, and on a bad
-#: radio several reports in a row are lost.
+#: Seconds until a state is reported after its command was accepted. PX4 reports arming only once a second,
+#: and on a bad radio several reports in a row are lost.
 STATE_TIMEOUT = 5.0
 #: Transmissions of a command in that time.
 ATTEMPTS = 5
@@ -59,7 +59,7 @@ class Contact(Device):
         #: Our system id towards this vehicle, and the reason why it is not unique ('': it is).
         self.station, self.station_conflict = station_of(binding), ""
         #: Set while the host is silent: no requests are sent (see Driver.quiet).
-        self.quiet = False
+        self.is_quiet = False
         #: Set while the link is lost.
         self.lost = False
         self._send = send
@@ -114,7 +114,7 @@ class Contact(Device):
         """Handles the end of an interruption: the vehicle may be another one."""
 
     def heard(self) -> None:
-        """Records that the autopilot has sent a message of any kind."""
+        """Records a message of any kind from the autopilot."""
         if self.silence > LINK_LOST and self._last_contact > -math.inf:
             self._reconnected(f"{self.silence:.1f} s of silence")
         self._last_contact = self.clock.monotonic()
@@ -145,19 +145,19 @@ class Contact(Device):
         self._has_control = self._has_control or not self.state.armed
         return self._has_control
 
-    def set_quiet(self, quiet: bool) -> None:
+    def set_quiet(self, is_quiet: bool) -> None:
         """Stops or resumes requests: without them the autopilot's own failsafe can start."""
-        self.quiet = quiet
+        self.is_quiet = is_quiet
 
     def report_station_conflict(self, reason: str) -> None:
         """Logs that another sender has the id of the station; motion commands are refused from now on."""
         self.station_conflict = reason
         self.note(log_messages.STATION_CONFLICT.line(reason=reason))
 
-    def check_station(self, what: str) -> None:
+    def check_station(self, action: str) -> None:
         """Raises DeviceError when another station has the same id."""
         if self.station_conflict:
-            raise self.error(f"{what} refused: {self.station_conflict}")
+            raise self.error(f"{action} refused: {self.station_conflict}")
 
     @property
     def conflict(self) -> str:
@@ -223,15 +223,15 @@ class Contact(Device):
         """Whether a message id has a handler."""
         return message_id in self._handlers
 
-    async def expect(self, accepts: Callable[[Any], bool], bound: float) -> Any | None:
-        """The next matching message for us; None after `bound` seconds.
+    async def expect(self, accepts: Callable[[Any], bool], timeout: float) -> Any | None:
+        """The next matching message for us; None after `timeout` seconds.
 
         Responses right after a `send` are not missed.
         """
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._expected[future] = accepts
         try:
-            async with asyncio.timeout(bound):
+            async with asyncio.timeout(timeout):
                 return await future
         except TimeoutError:
             return None
@@ -247,7 +247,7 @@ class Contact(Device):
 
     async def command(
         self,
-        what: str,
+        action: str,
         number: int,
         *values: float | None,
         place: Place | None = None,
@@ -280,19 +280,19 @@ class Contact(Device):
         if optional and answer.result == dialect.MAV_RESULT_UNSUPPORTED:
             return False
         if answer.result is None:
-            why = f": it may have no {component}" if component and self.exchange.px4 else ""
-            perhaps = "; it may have been executed" if once else ""
-            raise self.error(f"{what}: the autopilot did not answer{why}{perhaps}", timeout=True)
+            hint = f": it may have no {component}" if component and self.exchange.px4 else ""
+            warning = "; it may have been executed" if once else ""
+            raise self.error(f"{action}: the autopilot did not answer{hint}{warning}", timeout=True)
         await self._await_reasons(start)
-        raise self.error(f"{what} refused: {result_text(answer.result)}{self.reasons(start)}")
+        raise self.error(f"{action} refused: {result_text(answer.result)}{self.reasons(start)}")
 
     async def _await_reasons(self, start: float) -> None:
         """Waits for a text since `start`. PX4 sends none while it receives no station heartbeats."""
-        if not (self.quiet and self.exchange.px4):
+        if not (self.is_quiet and self.exchange.px4):
             await self.wait_for(lambda: bool(self.texts.since(start)), REASON_TIMEOUT)
 
     async def achieve(
-        self, what: str, state: Callable[[], bool], number: int, *values: float | None, mode: str = ""
+        self, action: str, state: Callable[[], bool], number: int, *values: float | None, mode: str = ""
     ) -> None:
         """Sends a command until it is accepted, and waits until the state confirms it. Raises DeviceError.
 
@@ -301,38 +301,38 @@ class Contact(Device):
         """
         start = self.clock.monotonic()
         for _ in range(ATTEMPTS):
-            await self.command(what, number, *values, is_accepted=state)
+            await self.command(action, number, *values, is_accepted=state)
             if await self.wait_for(state, STATE_TIMEOUT / ATTEMPTS):
                 return
             # Checked here, not earlier: the text may belong to an earlier attempt.
             if self.is_unavailable(mode, start):
-                raise self.error(f"{what} refused{self.reasons(start)}")
+                raise self.error(f"{action} refused{self.reasons(start)}")
         self.check_link()
-        shown = f"did not happen within {STATE_TIMEOUT:g} s"
+        problem = f"did not happen within {STATE_TIMEOUT:g} s"
         if self.heartbeat_age > STATE_TIMEOUT / 2:
-            shown = f"it cannot be confirmed: no heartbeat for {self.heartbeat_age:.1f} s"
-        raise self.error(f"{what} was accepted but {shown}{self.reasons(start)}")
+            problem = f"it cannot be confirmed: no heartbeat for {self.heartbeat_age:.1f} s"
+        raise self.error(f"{action} was accepted but {problem}{self.reasons(start)}")
 
     def is_unavailable(self, mode: str, start: float) -> bool:
         """Whether PX4 has reported since `start` that it does not enter this mode, which it had accepted."""
         refusals = {UNAVAILABLE.format(name) for name in PX4_MODE_TEXTS.get(mode, ())}
         return not refusals.isdisjoint(self.texts.since(start))
 
-    async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
+    async def until(self, condition: Callable[[], bool], timeout: float, action: str) -> None:
         """Waits for a state. Raises DeviceError."""
         start = self.clock.monotonic()
-        if not await self.wait_for(condition, bound):
+        if not await self.wait_for(condition, timeout):
             self.check_link()
-            raise self.error(f"{what} did not happen within {bound:g} s{self.reasons(start)}")
+            raise self.error(f"{action} did not happen within {timeout:g} s{self.reasons(start)}")
 
-    async def wait_for(self, condition: Callable[[], bool], bound: float) -> bool:
-        """Whether the condition became true within `bound` seconds; evaluated with every message."""
-        end = self.clock.monotonic() + bound
+    async def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Whether the condition became true within `timeout` seconds; evaluated with every message."""
+        end = self.clock.monotonic() + timeout
         while not condition():
-            left = end - self.clock.monotonic()
-            if left <= 0.0:
+            remaining = end - self.clock.monotonic()
+            if remaining <= 0.0:
                 return False
-            await self.wait_message(left)
+            await self.wait_message(remaining)
         return True
 
     async def wait_message(self, longest: float) -> None:

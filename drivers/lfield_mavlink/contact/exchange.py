@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, dialect
 
-#: Seconds to wait for an answer, and attempts. More attempts while there is contact: at a loss of 20 %
-#: each way every third exchange fails.
-PATIENCE, ATTEMPTS, PERSISTENT = 0.5, 4, 12
+#: Seconds to wait for an answer, and attempts; more attempts while there is contact, since at a loss of 20 %
+#: in each direction every third exchange fails.
+ANSWER_TIMEOUT, ATTEMPTS, ATTEMPTS_IN_CONTACT = 0.5, 4, 12
 #: Seconds to wait after each IN_PROGRESS; and in all.
-PROGRESS, LONGEST = 5.0, 60.0
+PROGRESS, MAX_WAIT = 5.0, 60.0
 
 
 class CommandResult(NamedTuple):
@@ -51,7 +51,7 @@ class Exchange:
         self.px4, self._station = False, station
         self._gate = gate
         self._system, self._send, self._has_contact = system, send, has_contact
-        self._questions: dict[tuple[int, int], _Question] = {}
+        self._pending: dict[tuple[int, int], _PendingCommand] = {}
         self._timer: asyncio.Handle | None = None
         self._timer_at = 0.0
 
@@ -65,24 +65,24 @@ class Exchange:
         *values: float | None,
         place: Place | None = None,
         once: bool = False,
-        patience: float = PATIENCE,
+        answer_timeout: float = ANSWER_TIMEOUT,
         target: int = AUTOPILOT,
     ) -> CommandResult:
-        """Sends a command until it is answered, ATTEMPTS times, or PERSISTENT times while there is
+        """Sends a command until it is answered, ATTEMPTS times, or ATTEMPTS_IN_CONTACT times while there is
         contact.
 
         `values` are its parameters from the first, None for an unused one. With a `place` it is sent as
         COMMAND_INT, which has sufficient precision, with the place as parameters 5 to 7. `once` is for a
-        command that must not be executed twice. `patience` is the time to wait for each answer, in seconds.
-        `target` is the addressed component.
+        command that must not be executed twice. `answer_timeout` is the time to wait for each answer, in
+        seconds. `target` is the addressed component.
         """
         await self._gate(number)
         # Acknowledgements are matched by sender and command number: one command of these may be pending.
         key = (target, number)
-        while (earlier := self._questions.get(key)) is not None:
-            await earlier.end()
+        while (previous := self._pending.get(key)) is not None:
+            await previous.end()
         loop = asyncio.get_running_loop()
-        question = self._questions[key] = _Question()
+        pending = self._pending[key] = _PendingCommand()
         attempts = 0
         try:
             while attempts < self._max_attempts(once):
@@ -91,50 +91,50 @@ class Exchange:
                 else:
                     message = self._command_int(key, values, place)
                 attempts += 1
-                question.on_sent(loop.create_future(), loop.time(), patience)
-                self._set_timer(question)
+                pending.on_sent(loop.create_future(), loop.time(), answer_timeout)
+                self._set_timer(pending)
                 self._send(message)
-                result = await question.result
+                result = await pending.result
                 if result is not None:
                     return CommandResult(result, attempts)
             return CommandResult(None, attempts)
         finally:
-            del self._questions[key]
-            question.release_next()
+            del self._pending[key]
+            pending.release_next()
 
     def _max_attempts(self, once: bool) -> int:
         """Attempts for a command."""
-        return 1 if once else PERSISTENT if self._has_contact() else ATTEMPTS
+        return 1 if once else ATTEMPTS_IN_CONTACT if self._has_contact() else ATTEMPTS
 
-    def _set_timer(self, question: _Question) -> None:
+    def _set_timer(self, pending: _PendingCommand) -> None:
         """Schedules a check at the deadline of this command; an earlier timer is kept.
 
         Most commands are answered at once and need no timer of their own.
         """
         if self._timer is not None:
-            if self._timer_at <= question.due:
+            if self._timer_at <= pending.due:
                 return
             self._timer.cancel()
-        # Stored here: uvloop cannot tell when a timer is due that has less than half a millisecond left.
-        self._timer_at = question.due
-        self._timer = asyncio.get_running_loop().call_at(question.due, self._expire)
+        # Stored here: uvloop does not report the due time of a timer with less than half a millisecond left.
+        self._timer_at = pending.due
+        self._timer = asyncio.get_running_loop().call_at(pending.due, self._expire)
 
     def _expire(self) -> None:
         """Ends the wait for overdue answers."""
         self._timer = None
         now = asyncio.get_running_loop().time()
-        for question in self._questions.values():
-            if question.due <= now:
-                question.finish(None)
-            elif not question.result.done():
-                self._set_timer(question)
+        for pending in self._pending.values():
+            if pending.due <= now:
+                pending.finish(None)
+            elif not pending.result.done():
+                self._set_timer(pending)
 
     def on_message(self, message: Any) -> None:
         """Handles an answer; answers to other stations are ignored."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
-            question = self._questions.get((message.get_srcComponent(), message.command))
-            if question is not None and is_for_us(message, self._station):
-                question.on_answer(message.result, asyncio.get_running_loop().time())
+            pending = self._pending.get((message.get_srcComponent(), message.command))
+            if pending is not None and is_for_us(message, self._station):
+                pending.on_answer(message.result, asyncio.get_running_loop().time())
 
     def _command_long(self, key: tuple[int, int], confirmation: int, values: tuple[float | None, ...]) -> Any:
         padded = self._padded(values, 7)
@@ -168,7 +168,7 @@ def is_for_us(message: Any, station: int) -> bool:
     return system in (0, station) and component in (0, COMPONENT)
 
 
-class _Question:
+class _PendingCommand:
     """A command that waits for its answer until `due`; `result` is None on a time-out."""
 
     result: asyncio.Future[int | None]
@@ -177,9 +177,9 @@ class _Question:
     def __init__(self) -> None:
         self._waiting: list[asyncio.Future[None]] = []
 
-    def on_sent(self, result: asyncio.Future[int | None], now: float, patience: float) -> None:
+    def on_sent(self, result: asyncio.Future[int | None], now: float, answer_timeout: float) -> None:
         """Sets the deadline after the command was sent again."""
-        self.result, self.due, self._latest = result, now + patience, now + LONGEST
+        self.result, self.due, self._latest = result, now + answer_timeout, now + MAX_WAIT
 
     def on_answer(self, result: int, now: float) -> None:
         """Handles an answer; IN_PROGRESS only extends the time."""

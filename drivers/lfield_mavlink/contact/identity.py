@@ -36,9 +36,9 @@ _REMEDY = "nothing is commanded; bring the right vehicle back, or restart the ho
 
 
 class IdentifiedVehicle(Protocol):
-    """The interface of the vehicle to its identification. `quiet` is set while no requests may be sent."""
+    """The interface of the vehicle to its identification. `is_quiet`: no requests may be sent now."""
 
-    quiet: bool
+    is_quiet: bool
 
     def note(self, text: str) -> None:
         """Writes a sentence into the log."""
@@ -56,22 +56,23 @@ class IdentifiedVehicle(Protocol):
 class Identity:
     """Compares the board at opening with the present one.
 
-    `ask` requests its version, `kind` is the MAV_AUTOPILOT and MAV_TYPE of its heartbeats.
+    `request_version` requests AUTOPILOT_VERSION; `kind` returns the MAV_AUTOPILOT and MAV_TYPE of the last
+    heartbeat.
     """
 
     def __init__(
         self,
         vehicle: IdentifiedVehicle,
-        ask: Callable[[], Awaitable[Any | None]],
+        request_version: Callable[[], Awaitable[Any | None]],
         kind: Callable[[], tuple[int, int]],
     ) -> None:
-        self._vehicle, self._ask, self._kind = vehicle, ask, kind
+        self._vehicle, self._request_version, self._kind = vehicle, request_version, kind
         self._board: Board | None = None
         self._first_kind = (-1, -1)
-        self._known = False
+        self._is_known = False
         self._reason = ""
-        self._said = False
-        self._checking = asyncio.Lock()
+        self._was_logged = False
+        self._verification_lock = asyncio.Lock()
         self._suspected = asyncio.Event()
         #: The reason why the vehicle is another one, '' if it is not.
         self.other_vehicle = ""
@@ -83,19 +84,22 @@ class Identity:
 
     async def learn(self) -> None:
         """Stores the identity of the opened vehicle."""
-        version = await self._ask()
-        self._board, self._first_kind = (None if version is None else Board.of(version)), self._kind()
-        self._known, self._reason = True, ""
+        version = await self._request_version()
+        self._board, self._first_kind = (
+            (None if version is None else Board.from_message(version)),
+            self._kind(),
+        )
+        self._is_known, self._reason = True, ""
 
     def suspect(self, reason: str) -> None:
         """Requires verification: the link was lost, or the vehicle's address has changed."""
-        if self._known:
+        if self._is_known:
             self._reason = self._reason or reason
             self._suspected.set()
 
     def on_version(self, version: Any | None) -> None:
         """Handles AUTOPILOT_VERSION: requires verification if it is from another vehicle."""
-        if self._known and version is not None and self._difference(Board.of(version)):
+        if self._is_known and version is not None and self._difference(Board.from_message(version)):
             self.suspect("it reported another unique id")
 
     def may_send(self, message: Any) -> bool:
@@ -114,11 +118,11 @@ class Identity:
         """Compares the present vehicle with the opened one. Raises DeviceError when it differs or does not
         answer.
         """
-        async with self._checking:
+        async with self._verification_lock:
             if self.is_certain:
                 return
-            reason, version = self._reason, await self._ask()
-            board = None if version is None else Board.of(version)
+            reason, version = self._reason, await self._request_version()
+            board = None if version is None else Board.from_message(version)
             self.other_vehicle = self._difference(board)
             if self.other_vehicle:
                 raise self._vehicle.error(self.other_vehicle)
@@ -138,23 +142,23 @@ class Identity:
         """Verifies whenever required, until cancelled."""
         while True:
             await self._suspected.wait()
-            if self._vehicle.quiet:
+            if self._vehicle.is_quiet:
                 await asyncio.sleep(RETRY_INTERVAL)
                 continue
             try:
                 await self.verify()
             except DeviceError as error:
-                if self.other_vehicle and not self._said:
+                if self.other_vehicle and not self._was_logged:
                     self._vehicle.note(log_messages.OTHER_VEHICLE.line(reason=error.reason))
-                self._said = bool(self.other_vehicle)
+                self._was_logged = bool(self.other_vehicle)
                 await asyncio.sleep(RETRY_INTERVAL)
             else:
-                self._said = False
+                self._was_logged = False
 
     @property
     def is_another_kind(self) -> bool:
         """Whether the heartbeats have another autopilot or type than at opening."""
-        return self._known and self._kind() != self._first_kind
+        return self._is_known and self._kind() != self._first_kind
 
     def _difference(self, board: Board | None) -> str:
         """The reason why the vehicle is another one; '' if it is not, or if that is unknown."""
@@ -163,16 +167,20 @@ class Identity:
         except DeviceError as error:
             return error.reason
         if self.is_another_kind:
-            now, then = self._kind(), self._first_kind
+            present, opened = self._kind(), self._first_kind
             return (
-                f"another vehicle answers: MAV_AUTOPILOT {now[0]}, MAV_TYPE {now[1]} instead of {then[0]}, "
-                f"{then[1]}; {_REMEDY}"
+                f"another vehicle answers: MAV_AUTOPILOT {present[0]}, MAV_TYPE {present[1]} instead of "
+                f"{opened[0]}, {opened[1]}; {_REMEDY}"
             )
         if board is None or self._board is None or board == self._board:
             return ""
         if board.uid != self._board.uid:
-            new, old = (each.uid or "one without a unique id" for each in (board, self._board))
-            return f"another vehicle answers: its board is {new}, but {old} was opened; {_REMEDY}"
+            present_uid, opened_uid = (
+                candidate.uid or "one without a unique id" for candidate in (board, self._board)
+            )
+            return (
+                f"another vehicle answers: its board is {present_uid}, but {opened_uid} was opened; {_REMEDY}"
+            )
         if board.uid:
             return ""  # the same board with another firmware
         return f"another vehicle answers: it has another firmware, and no unique id (uid 0); {_REMEDY}"

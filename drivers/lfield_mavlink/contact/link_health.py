@@ -16,7 +16,7 @@ from lfield_mavlink.link.ports import LinkCounts
 #: Seconds between two reports, and between two round trips.
 PERIOD = 1.0
 #: Number of stored round trips; the shortest gives the offset, since it has the least queueing delay.
-KEPT = 10
+MAX_OFFSETS = 10
 #: Seconds after which a response is ignored.
 LATE = 3.0
 
@@ -38,7 +38,7 @@ class LinkHealth:
         """Reports and measures until cancelled."""
         while True:
             self._report()
-            if not self._vehicle.quiet:
+            if not self._vehicle.is_quiet:
                 self._timesync.start_round_trip()
             await asyncio.sleep(PERIOD)
 
@@ -55,7 +55,7 @@ class LinkHealth:
 
     def _on_timesync(self, message: Any) -> None:
         # A request would count as contact: PX4 requests ten times a second.
-        if self._vehicle.quiet:
+        if self._vehicle.is_quiet:
             return
         measured = self._timesync.on_message(message)
         if measured is not None:
@@ -77,12 +77,12 @@ class TimeSync:
 
     def __init__(self, clock: Clock, send: Callable[[Any], None]) -> None:
         self._clock, self._send = clock, send
-        self._asked: deque[int] = deque(maxlen=4)
-        self._kept: deque[Offset] = deque(maxlen=KEPT)
+        self._pending_requests: deque[int] = deque(maxlen=4)
+        self._offsets: deque[Offset] = deque(maxlen=MAX_OFFSETS)
 
     def start_round_trip(self) -> None:
         now = self._now()
-        self._asked.append(now)
+        self._pending_requests.append(now)
         self._send(dialect.MAVLink_timesync_message(0, now))
 
     def on_message(self, message: Any) -> Offset | None:
@@ -92,15 +92,15 @@ class TimeSync:
             self._send(dialect.MAVLink_timesync_message(now, message.ts1))
             return None
         # Responses to other stations, and repeated packets.
-        if message.ts1 not in self._asked:
+        if message.ts1 not in self._pending_requests:
             return None
-        self._asked.remove(message.ts1)
+        self._pending_requests.remove(message.ts1)
         round_trip = (now - message.ts1) / 1e9
         if round_trip > LATE:
             return None
         wall = self._clock.time() - now / 1e9
-        self._kept.append(Offset((message.tc1 - (message.ts1 + now) / 2) / 1e9 - wall, round_trip))
-        return min(self._kept, key=lambda kept: kept.round_trip)._replace(round_trip=round_trip)
+        self._offsets.append(Offset((message.tc1 - (message.ts1 + now) / 2) / 1e9 - wall, round_trip))
+        return min(self._offsets, key=lambda offset: offset.round_trip)._replace(round_trip=round_trip)
 
     def _now(self) -> int:
         """Our monotonic clock in nanoseconds, never 0, which marks a request."""

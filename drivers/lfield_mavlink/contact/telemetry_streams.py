@@ -97,15 +97,15 @@ class TelemetryStreams:
         self._last: dict[int, float] = {}
         self._read: dict[int, float] = {}
         # Requested messages: requests since the last message, and its time.
-        self._asked: dict[int, tuple[int, float]] = {}
+        self._requests: dict[int, tuple[int, float]] = {}
         self._refused: set[int] = set()
 
     def on_message(self, kind: int, now: float) -> None:
         """Records a message that was received and decoded."""
         if kind in self._rates:
             self._last[kind] = self._read[kind] = now
-            if kind in self._asked:
-                self._asked[kind] = (0, now)
+            if kind in self._requests:
+                self._requests[kind] = (0, now)
 
     def is_spare(self, kind: int, now: float) -> bool:
         """Whether a message need not be decoded: unused, or too soon after the last.
@@ -125,7 +125,7 @@ class TelemetryStreams:
     async def prepare(self) -> None:
         """Requests every stream, and logs those that do not arrive."""
         vehicle = self._vehicle
-        self._asked, self._refused = {}, set()
+        self._requests, self._refused = {}, set()
         await asyncio.gather(*(self._request(kind) for kind in self._required()))
         await self._request_origin()
         await vehicle.wait_for(
@@ -142,10 +142,10 @@ class TelemetryStreams:
     def _required(self) -> list[int]:
         """The messages to request, of those that the autopilot supports."""
         profile = self._vehicle.profile
-        others = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
-        others |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
-        others |= frozenset() if profile.kind == "rover" else ONLY_ROVERS
-        return [kind for kind in self._rates if kind not in others]
+        unsupported = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
+        unsupported |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
+        unsupported |= frozenset() if profile.kind == "rover" else ONLY_ROVERS
+        return [kind for kind in self._rates if kind not in unsupported]
 
     def _missing(self) -> list[str]:
         received = {name for kind, names in SOURCES.items() if kind in self._last for name in names}
@@ -155,7 +155,7 @@ class TelemetryStreams:
         """Repeats requests for missing streams until cancelled."""
         while True:
             await asyncio.sleep(STALE / 2)
-            if self._vehicle.quiet or self._vehicle.lost or not self._asked:
+            if self._vehicle.is_quiet or self._vehicle.lost or not self._requests:
                 continue
             for kind in self._stale():
                 await self._request(kind)
@@ -166,20 +166,21 @@ class TelemetryStreams:
         """The messages to request again, except refused ones."""
         now = self._vehicle.clock.monotonic()
         stale = []
-        for kind, (times, at) in self._asked.items():
-            pause = max(STALE, 3.0 / self._rates[kind]) * max(1, min(times, LONGEST))
-            if kind not in self._refused and now - max(at, self._last.get(kind, at)) > pause:
+        for kind, (count, requested_at) in self._requests.items():
+            pause = max(STALE, 3.0 / self._rates[kind]) * max(1, min(count, LONGEST))
+            if (
+                kind not in self._refused
+                and now - max(requested_at, self._last.get(kind, requested_at)) > pause
+            ):
                 stale.append(kind)
         return stale
 
     @property
     def _lacks_origin(self) -> bool:
         """Whether the position in the team's frame depends on an origin that is not known yet."""
-        placed, state = self._vehicle.binding.frame, self._vehicle.state
+        frame, state = self._vehicle.binding.frame, self._vehicle.state
         return (
-            placed is not None
-            and state.origin is None
-            and (placed.pose is None or state.origin_moved is None)
+            frame is not None and state.origin is None and (frame.pose is None or state.origin_moved is None)
         )
 
     async def _request_origin(self) -> None:
@@ -189,7 +190,7 @@ class TelemetryStreams:
 
     async def _request(self, kind: int) -> None:
         vehicle, rate = self._vehicle, self._rates[kind]
-        self._asked[kind] = (self._asked.get(kind, (0, 0.0))[0] + 1, vehicle.clock.monotonic())
+        self._requests[kind] = (self._requests.get(kind, (0, 0.0))[0] + 1, vehicle.clock.monotonic())
         answer = await vehicle.exchange.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate)
         if answer.result == dialect.MAV_RESULT_ACCEPTED:
             return

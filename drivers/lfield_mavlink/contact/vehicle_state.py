@@ -34,7 +34,7 @@ REORDER_LIMIT = 1.0
 FRESH = 0.5
 #: Characters of one message; a longer text is sent in chunks with one id.
 CHUNK = 50
-#: Incomplete texts kept at most, since chunks may be lost.
+#: Maximum number of stored incomplete texts, since chunks may be lost.
 UNFINISHED = 8
 
 #: SYS_STATUS: the pre-arm checks have passed.
@@ -131,14 +131,14 @@ class VehicleState:
         """The distance of the origin from the first one; None after a restart until it is known."""
         if self._first_origin is None:
             return (0.0, 0.0, 0.0)
-        return None if self.origin is None else self._first_origin.to(self.origin, self.radius)
+        return None if self.origin is None else self._first_origin.vector_to(self.origin, self.radius)
 
     @property
     def home_offset(self) -> Vector:
         """Home in the autopilot's local frame."""
         # The origin first: older ArduPilots leave the local position in HOME_POSITION at 0.
         if self.home is not None and (origin := self.origin) is not None:
-            north, east, down = origin.to(self.home, self.radius)
+            north, east, down = origin.vector_to(self.home, self.radius)
         else:
             north, east, down = self._local_home or (0.0, 0.0, 0.0)
         return (north, east, 0.0 if self.kind == "rover" else down)
@@ -174,7 +174,7 @@ class VehicleState:
     def on_mode_entered(self, mode: str) -> None:
         """Sets a mode that a confirmed answer reports before a heartbeat does.
 
-        Otherwise a mode that is requested back at once would appear unchanged.
+        Otherwise an immediate request for the previous mode would appear to have been executed already.
         """
         self.mode = mode
 
@@ -205,9 +205,9 @@ class VehicleState:
         if self.profile is None or not self.profile.px4 or not message.custom_mode:
             return {}
         self.mode = self.profile.mode_name(message.custom_mode)
-        meant = message.intended_custom_mode
-        differs = meant not in (0, message.custom_mode)
-        self.overruled = self.profile.mode_name(meant) if differs else ""
+        intended = message.intended_custom_mode
+        differs = intended not in (0, message.custom_mode)
+        self.overruled = self.profile.mode_name(intended) if differs else ""
         return {"mode": self.mode, "failsafe": self._failsafe}
 
     def set_failsafe(self, active: bool) -> None:
@@ -294,9 +294,9 @@ class VehicleState:
         return {"landed": self.landed}
 
     def _on_home(self, message: Any, now: float) -> Values:
-        flies_on = self.autopilot == PX4 and self.landed is False and self.knows_frames
+        keeps_home = self.autopilot == PX4 and self.landed is False and self.knows_frames
         home = Place.scaled(message.latitude, message.longitude, message.altitude)
-        if home is None or flies_on:
+        if home is None or keeps_home:
             return {}
         self.home = home
         local = (message.x, message.y, message.z)

@@ -15,8 +15,7 @@ from lfield_mavlink.modes import ARDUPILOT, PX4
 #: Patterns of names, separated by white space; `#` is a digit.
 Patterns = str
 
-#: Counters, calibrations of the moment, and identifiers of sensors: a value of another time or vehicle is
-#: wrong.
+#: Counters, automatic calibrations, and identifiers of sensors: a value of another time or vehicle is wrong.
 _OWN: Mapping[int, Patterns] = {
     ARDUPILOT: """
         FORMAT_VERSION SYSID_SW_* STAT_* MIS_TOTAL FENCE_TOTAL RALLY_TOTAL CMD_INDEX CMD_TOTAL

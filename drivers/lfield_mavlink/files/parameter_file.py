@@ -56,35 +56,35 @@ class ParameterFile:
 
 def read_parameters(file: str, data: bytes) -> ParameterFile:
     """The content of a parameter file. Raises MissionFileError with the line."""
-    found = ParameterFile(file)
+    content = ParameterFile(file)
     for number, line in enumerate(utf8_bytes(file, data).decode().splitlines(), 1):
         text, _, comment = line.partition("#")
         if not text.strip():
-            _read_header(found, line)
+            _read_header(content, line)
             continue
         try:
-            _read_line(found, [part for part in _SEPARATOR.split(text.strip()) if part])
+            _read_line(content, [part for part in _SEPARATOR.split(text.strip()) if part])
         except ValueError as error:
             raise MissionFileError(file, str(error), where=f"line {number}") from None
         if READ_ONLY in comment:
-            found.read_only.add(next(reversed(found.values)))
-    if not found.values:
+            content.read_only.add(next(reversed(content.values)))
+    if not content.values:
         raise MissionFileError(file, "it has no parameter")
-    return found
+    return content
 
 
-def _read_header(found: ParameterFile, line: str) -> None:
+def _read_header(content: ParameterFile, line: str) -> None:
     if (match := _HEADER.match(line.strip())) is None:
         return
     key, value = match[1], match[2].lower()
     if key == "Stack":
         firmwares: Mapping[str, str] = {"px4": "px4", "ardupilot": "ardupilot", "apm": "ardupilot"}
-        found.firmware = next((name for part, name in firmwares.items() if part in value), "")
+        content.firmware = next((name for part, name in firmwares.items() if part in value), "")
     else:
-        found.kind = next((kind for part, kind in _KINDS if part in value), "")
+        content.kind = next((kind for part, kind in _KINDS if part in value), "")
 
 
-def _read_line(found: ParameterFile, parts: Sequence[str]) -> None:
+def _read_line(content: ParameterFile, parts: Sequence[str]) -> None:
     """Raises ValueError."""
     if parts[0] == _INCLUDE:
         raise ValueError(
@@ -92,7 +92,7 @@ def _read_line(found: ParameterFile, parts: Sequence[str]) -> None:
         )
     if len(parts) == _QGC_COLUMNS and parts[0].isdecimal():
         if parts[1] != str(AUTOPILOT):
-            found.others += 1
+            content.others += 1
             return
         parts = parts[2:4]
     is_read_only = len(parts) == 3 and parts[2] == READ_ONLY
@@ -102,11 +102,11 @@ def _read_line(found: ParameterFile, parts: Sequence[str]) -> None:
     if _NAME.fullmatch(name) is None:
         raise ValueError(f"'{name[:60]}' is not the name of a parameter")
     value = _number(text)
-    if name in found.values and found.values[name] != value:
-        raise ValueError(f"{name} is here {value:g} and was {found.values[name]:g} before")
-    found.values[name] = value
+    if name in content.values and content.values[name] != value:
+        raise ValueError(f"{name} is here {value:g} and was {content.values[name]:g} before")
+    content.values[name] = value
     if is_read_only:
-        found.read_only.add(name)
+        content.read_only.add(name)
 
 
 def _number(text: str) -> float:

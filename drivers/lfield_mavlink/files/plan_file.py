@@ -78,16 +78,16 @@ class PlanFile:
         """
         first = self.items[0].number if self.items else 1
         shift = first - (0 if px4 else 1)
-        items = [_renumbered(each.item, shift) for each in self.items]
+        items = [_renumbered(numbered.item, shift) for numbered in self.items]
         return items if px4 else [_without_nan(item) for item in items]
 
 
-def firmware_of(number: int) -> str:
+def firmware_name(number: int) -> str:
     """`px4` of 12; '' for a firmware that this driver does not know."""
-    return next((name for name, known in FIRMWARES.items() if known == number), "")
+    return next((name for name, autopilot in FIRMWARES.items() if autopilot == number), "")
 
 
-def kind_of(number: int) -> str:
+def vehicle_kind(number: int) -> str:
     """`copter` of 2; '' for a generic or unknown MAV_TYPE."""
     return next((kind for kind, numbers in _TYPES.items() if number in numbers), "")
 
@@ -103,8 +103,8 @@ def mission_item(command: int, frame: int, values: Sequence[float]) -> Item:
         raise ValueError("a parameter is infinite, or larger than MAVLink can transmit")
     scale = 1.0 if frame in _FRAMES_WITHOUT_PLACE else 1e7
     x, y = (_scaled(value, scale) for value in values[4:6])
-    one, two, three, four = values[:4]
-    return Item(command, frame, x, y, values[6], (one, two, three, four))
+    first, second, third, fourth = values[:4]
+    return Item(command, frame, x, y, values[6], (first, second, third, fourth))
 
 
 def zones_and_points(file: str, rows: Sequence[NumberedItem]) -> tuple[list[PlanZone], list[RallyPoint]]:
@@ -138,9 +138,9 @@ def _scaled(value: float, scale: float) -> int:
 
 
 def _without_nan(item: Item) -> Item:
-    one, two, three, four = (0.0 if math.isnan(value) else value for value in item.parameters)
+    first, second, third, fourth = (0.0 if math.isnan(value) else value for value in item.parameters)
     x, y = (0 if value == HERE else value for value in (item.x, item.y))
-    return replace(item, parameters=(one, two, three, four), x=x, y=y)
+    return replace(item, parameters=(first, second, third, fourth), x=x, y=y)
 
 
 def _renumbered(item: Item, shift: int) -> Item:

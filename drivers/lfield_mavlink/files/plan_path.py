@@ -1,4 +1,4 @@
-"""The way of a mission: its positions, legs, length, and an estimate of its duration. Pure."""
+"""The path of a mission: its positions, legs, length, and an estimate of its duration. Pure."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _RETURN, _SPEED = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH, dialect.MAV_CMD_DO_CHANG
 
 @dataclass(frozen=True, slots=True)
 class PlanLeg:
-    """A straight way to an item from the one before, or from home."""
+    """A straight line to an item from the previous item, or from home."""
 
     start: PlanPoint
     end: PlanPoint
 
 
 class PlanPath:
-    """The way of a plan. `px4`: latitude and longitude 0 are a position."""
+    """The path of a plan. `px4`: latitude and longitude 0 are a position."""
 
     def __init__(self, plan: PlanFile, *, px4: bool) -> None:
         self._plan, self._px4 = plan, px4
@@ -44,24 +44,28 @@ class PlanPath:
         self.plane = LocalPlane(*(origin.position if origin is not None else (0.0, 0.0)))
 
     def _positions(self) -> Iterator[PlanPoint]:
-        before = self.home
-        for each in self._plan.items:
-            item = each.item
+        previous = self.home
+        for numbered in self._plan.items:
+            item = numbered.item
             if not is_flown(item.command) or not (item.command in PLACED or item.command == _RETURN):
                 continue
-            point = self._point(each, before)
+            point = self._point(numbered, previous)
             if point is not None:
-                self._by_item[each.number] = before = point
+                self._by_item[numbered.number] = previous = point
                 yield point
 
-    def _point(self, each: NumberedItem, before: PlanPoint | None) -> PlanPoint | None:
-        item, meaning = each.item, _meaning(each.item)
+    def _point(self, numbered: NumberedItem, previous: PlanPoint | None) -> PlanPoint | None:
+        item, meaning = numbered.item, _meaning(numbered.item)
         if item.command == _RETURN:
-            return None if self.home is None else PlanPoint(each.number, self.home.position, None, meaning)
+            return (
+                None if self.home is None else PlanPoint(numbered.number, self.home.position, None, meaning)
+            )
         height = self.height(item)
         if HERE in (item.x, item.y) or (not self._px4 and not (item.x or item.y)):
-            return None if before is None else PlanPoint(each.number, before.position, height, meaning)
-        return PlanPoint(each.number, (item.x / 1e7, item.y / 1e7), height, meaning)
+            return (
+                None if previous is None else PlanPoint(numbered.number, previous.position, height, meaning)
+            )
+        return PlanPoint(numbered.number, (item.x / 1e7, item.y / 1e7), height, meaning)
 
     def height(self, item: Item) -> float | None:
         """Metres above home; None if unknown."""
@@ -75,26 +79,26 @@ class PlanPath:
 
     @property
     def legs(self) -> Iterator[PlanLeg]:
-        """The ways in order, then those of the jumps."""
-        before = self.home
+        """The legs in order, then those of the jumps."""
+        previous = self.home
         for point in self.points:
-            if before is not None:
-                yield PlanLeg(before, point)
-            before = point
+            if previous is not None:
+                yield PlanLeg(previous, point)
+            previous = point
         yield from self._jumps()
 
     def _jumps(self) -> Iterator[PlanLeg]:
         numbers = sorted(self._by_item)
-        for each in self._plan.items:
-            if each.item.command != dialect.MAV_CMD_DO_JUMP:
+        for numbered in self._plan.items:
+            if numbered.item.command != dialect.MAV_CMD_DO_JUMP:
                 continue
-            before = [number for number in numbers if number < each.number]
-            after = [number for number in numbers if number >= each.item.parameters[0]]
-            if before and after:
-                yield PlanLeg(self._by_item[before[-1]], self._by_item[after[0]])
+            earlier = [number for number in numbers if number < numbered.number]
+            later = [number for number in numbers if number >= numbered.item.parameters[0]]
+            if earlier and later:
+                yield PlanLeg(self._by_item[earlier[-1]], self._by_item[later[0]])
 
     def metres(self, leg: PlanLeg) -> float:
-        """The length of a leg; a height that is unknown stays."""
+        """The length of a leg; an unknown height counts as unchanged."""
         start, end = self.plane.points([leg.start.position, leg.end.position])
         rise = 0.0
         if leg.start.height is not None and leg.end.height is not None:
@@ -102,45 +106,45 @@ class PlanPath:
         return math.hypot(end[0] - start[0], end[1] - start[1], rise)
 
     def length(self) -> float:
-        """Metres of the whole way, each jump left out."""
-        return sum(self.metres(leg) for leg in self._way())
+        """Metres of the whole path, without jumps."""
+        return sum(self.metres(leg) for leg in self._direct_legs())
 
     def duration(self, kind: str, limit: float) -> float:
         """An estimate in seconds at the speeds of the file: without acceleration, wind and jumps."""
         plan = self._plan
         planned = plan.hover_speed if kind == "copter" else plan.cruise_speed
         speed = planned if planned and planned > 0.0 else HOVER if kind == "copter" else CRUISE
-        legs = {leg.end.item: leg for leg in self._way()}
+        legs = {leg.end.item: leg for leg in self._direct_legs()}
         seconds = 0.0
-        for each in plan.items:
-            first, second = each.item.parameters[:2]
-            if each.item.command == _SPEED and first in (0.0, 1.0) and second > 0.0:
+        for numbered in plan.items:
+            first, second = numbered.item.parameters[:2]
+            if numbered.item.command == _SPEED and first in (0.0, 1.0) and second > 0.0:
                 speed = second
-            if each.number in legs:
-                seconds += self.metres(legs[each.number]) / min(speed, limit)
-            if each.item.command in _WAITS or (
-                kind == "copter" and each.item.command == dialect.MAV_CMD_NAV_WAYPOINT
+            if numbered.number in legs:
+                seconds += self.metres(legs[numbered.number]) / min(speed, limit)
+            if numbered.item.command in _WAITS or (
+                kind == "copter" and numbered.item.command == dialect.MAV_CMD_NAV_WAYPOINT
             ):
                 seconds += first if 0.0 < first < math.inf else 0.0
         return seconds
 
-    def _way(self) -> Iterator[PlanLeg]:
-        before = self.home
+    def _direct_legs(self) -> Iterator[PlanLeg]:
+        previous = self.home
         for point in self.points:
-            if before is not None:
-                yield PlanLeg(before, point)
-            before = point
+            if previous is not None:
+                yield PlanLeg(previous, point)
+            previous = point
 
     def highest(self) -> tuple[float, int] | None:
         """Metres above home, and the item."""
-        known = [(point.height, point.item) for point in self.points if point.height is not None]
-        return max(known, default=None, key=lambda each: each[0])
+        heights = [(point.height, point.item) for point in self.points if point.height is not None]
+        return max(heights, default=None, key=lambda entry: entry[0])
 
     def farthest(self) -> tuple[float, int] | None:
         """Metres from home, and the item; None without a home."""
         if self.home is None or not self.points:
             return None
-        return max(((self.from_home(point), point.item) for point in self.points), key=lambda each: each[0])
+        return max(((self.from_home(point), point.item) for point in self.points), key=lambda entry: entry[0])
 
     def from_home(self, point: PlanPoint) -> float:
         """Metres from home, or from the first item without a home."""
@@ -166,4 +170,6 @@ def _meaning(item: Item) -> str:
 
 def placed_items(items: Sequence[NumberedItem]) -> Iterator[NumberedItem]:
     """Items that the vehicle moves to."""
-    return (each for each in items if each.item.command in PLACED and is_flown(each.item.command))
+    return (
+        numbered for numbered in items if numbered.item.command in PLACED and is_flown(numbered.item.command)
+    )

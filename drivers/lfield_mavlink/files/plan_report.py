@@ -33,7 +33,7 @@ MOST_ITEMS: Mapping[str, int] = {"ardupilot": 4369, "px4": 500, "": 4369}
 #: The number of items that an ArduPilot board stores without a microSD card.
 ON_BOARD = 724
 #: Metres from home to the first item that are unusual; PX4's MIS_DIST_1WP was 900 up to 1.14.
-FAR = 900.0
+UNUSUAL_DISTANCE = 900.0
 _KIND_WORDS = {"vtol": "plane that takes off vertically"}
 
 
@@ -82,8 +82,8 @@ def check_plan(plan: PlanFile, request: PlanRequest) -> PlanReport:
 def _of_options(request: PlanRequest) -> PlanRequest:
     """The request with kind and firmware of the options of a binding."""
     kind, firmware = (str(request.options.get(key, "")) for key in ("kind", "autopilot"))
-    known = firmware if firmware in FIRMWARES else ""
-    return structs.replace(request, kind=request.kind or kind, firmware=request.firmware or known)
+    known_firmware = firmware if firmware in FIRMWARES else ""
+    return structs.replace(request, kind=request.kind or kind, firmware=request.firmware or known_firmware)
 
 
 class _PlanCheck:
@@ -99,12 +99,12 @@ class _PlanCheck:
     def findings(self) -> Iterator[FileFinding]:
         """All findings: about the file as a whole, then by item, then about rally points."""
         yield from self._made_for()
-        count, most = len(self._plan.items), MOST_ITEMS[self._firmware]
+        count, maximum = len(self._plan.items), MOST_ITEMS[self._firmware]
         if not count and not (self._plan.fence or self._plan.rally):
             yield FileFinding("M105", "the plan has no items")
-        if count > most:
-            stored = f"{self._firmware or 'any firmware'} stores"
-            yield FileFinding("M105", f"the plan has {count} items, and {stored} at most {most}")
+        if count > maximum:
+            subject = f"{self._firmware or 'any firmware'} stores"
+            yield FileFinding("M105", f"the plan has {count} items, and {subject} at most {maximum}")
             return
         if count > ON_BOARD:
             text = f"the plan has {count} items; ArduPilot stores more than {ON_BOARD} on a microSD card only"
@@ -122,14 +122,16 @@ class _PlanCheck:
         yield from self._rally(fence)
 
     def _made_for(self) -> Iterator[FileFinding]:
-        """The kind `plane` of a request includes planes that take off vertically, as a binding's does."""
-        asked, kind = self._request.kind, self._plan.kind
-        if asked and kind and kind != asked and (asked, kind) != ("plane", "vtol"):
-            made, requested = (_KIND_WORDS.get(each, each) for each in (kind, asked))
-            yield FileFinding("M101", f"the plan was made for a {made}, not for a {requested}")
-        asked, firmware = self._request.firmware, self._plan.firmware
-        if asked and firmware and firmware != asked:
-            yield FileFinding("M102", f"the plan was made for {firmware}, not for {asked}")
+        """Findings about another kind of vehicle or firmware. The kind `plane` of a request includes planes
+        that take off vertically, as in a binding.
+        """
+        requested, kind = self._request.kind, self._plan.kind
+        if requested and kind and kind != requested and (requested, kind) != ("plane", "vtol"):
+            plan_kind, requested_kind = (_KIND_WORDS.get(each, each) for each in (kind, requested))
+            yield FileFinding("M101", f"the plan was made for a {plan_kind}, not for a {requested_kind}")
+        requested, firmware = self._request.firmware, self._plan.firmware
+        if requested and firmware and firmware != requested:
+            yield FileFinding("M102", f"the plan was made for {firmware}, not for {requested}")
 
     def _start(self) -> Iterator[FileFinding]:
         items = [each.item for each in self._plan.items]
@@ -141,8 +143,12 @@ class _PlanCheck:
                 "M108", text + (f", but with item {number}" if number is not None else ""), number
             )
         first = next(iter(self.path.points), None)
-        if first is not None and self.path.home is not None and (far := self.path.from_home(first)) > FAR:
-            yield FileFinding("M901", f"item {first.item} is {far:.0f} m from home", first.item)
+        if (
+            first is not None
+            and self.path.home is not None
+            and (distance := self.path.from_home(first)) > UNUSUAL_DISTANCE
+        ):
+            yield FileFinding("M901", f"item {first.item} is {distance:.0f} m from home", first.item)
 
     def _items(self) -> Iterator[FileFinding]:
         """The findings by the rules that apply to uploads too."""
@@ -197,8 +203,8 @@ class _PlanCheck:
                 )
             except DeviceError as error:
                 yield FileFinding("M111", error.reason)
-            if why := fence.why_outside((point.latitude, point.longitude)):
-                yield FileFinding("M111", f"rally point {number} is {why}")
+            if violation := fence.position_violation((point.latitude, point.longitude)):
+                yield FileFinding("M111", f"rally point {number} is {violation}")
 
 
 def _limits(limits: Mapping[str, float]) -> Limits:

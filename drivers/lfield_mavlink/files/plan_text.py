@@ -1,7 +1,7 @@
 """A plan as one compact text, for programs: the name of its file, then the plan as QGroundControl's JSON.
 
-Only data that a vehicle needs is kept: items (surveys expanded), fence, rally points, home, firmware and
-kind. So equal plans of different programs have equal texts.
+The text contains only data that a vehicle needs: items (surveys expanded), fence, rally points, home,
+firmware and kind. So equal plans of different programs have equal texts.
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ from lfield_mavlink.files.plan_file import (
     NumberedItem,
     PlanFile,
     RallyPoint,
-    firmware_of,
-    kind_of,
+    firmware_name,
     mission_item,
+    vehicle_kind,
 )
 from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import dialect
@@ -108,8 +108,8 @@ def read_plan(file: str, data: bytes) -> PlanFile:
         _home(file, mission.planned_home_position),
         tuple(_zones(file, plan.geo_fence)),
         tuple(_rally(file, plan.rally_points)),
-        firmware_of(mission.firmware_type),
-        kind_of(mission.vehicle_type),
+        firmware_name(mission.firmware_type),
+        vehicle_kind(mission.vehicle_type),
         mission.cruise_speed,
         mission.hover_speed,
         tuple(reader.areas),
@@ -182,10 +182,10 @@ class _ItemReader:
 def _home(file: str, values: Sequence[float | None] | None) -> Place | None:
     if not values or None in values[:2]:
         return None
-    latitude, longitude, *rest = (math.nan if value is None else value for value in values)
+    latitude, longitude, *altitudes = (math.nan if value is None else value for value in values)
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise MissionFileError(file, f"its home {latitude:g}, {longitude:g} is not a position in degrees")
-    altitude = rest[0] if rest and math.isfinite(rest[0]) else 0.0
+    altitude = altitudes[0] if altitudes and math.isfinite(altitudes[0]) else 0.0
     return Place(latitude, longitude, altitude)
 
 

@@ -31,7 +31,7 @@ PAYLOAD: tuple[tuple[str, tuple[float, ...]], ...] = (
 
 
 @GROUND.check("it is at rest with its motors off", moves=False)
-async def stands(bench: Bench) -> str:
+async def at_rest(bench: Bench) -> str:
     """The kit must not start with a moving vehicle."""
     if bench.query("armed") or not bench.query("landed"):
         raise CheckFailed(
@@ -46,9 +46,9 @@ async def place(bench: Bench) -> str:
     await bench.until(lambda: bench.query("gpsFix") >= 3, 30.0, "a three-dimensional fix")
     north, east, down = bench.query("position")
     latitude, longitude, altitude = bench.query("globalPosition")
-    of = "of home" if bench.binding.frame is None else "in the team's frame"
+    reference = "of home" if bench.binding.frame is None else "in the team's frame"
     return (
-        f"({north:.1f}, {east:.1f}, {down:.1f}) m {of}, {latitude:.6f}, {longitude:.6f} "
+        f"({north:.1f}, {east:.1f}, {down:.1f}) m {reference}, {latitude:.6f}, {longitude:.6f} "
         f"at {altitude:.0f} m, {bench.query('satellites')} satellites"
     )
 
@@ -81,9 +81,9 @@ async def parameters(bench: Bench) -> str:
     """The list is complete, and a parameter read by name has the same value."""
     lines = (await bench.call("parameters")).splitlines()
     name, value = lines[0].split()
-    again = await bench.call("parameter", name)
-    if again != float(value):
-        raise CheckFailed(f"{name} is {value} in the list but {again:.9g} when read by name")
+    repeated = await bench.call("parameter", name)
+    if repeated != float(value):
+        raise CheckFailed(f"{name} is {value} in the list but {repeated:.9g} when read by name")
     return f"{len(lines)} parameters, {name} is {value}"
 
 
@@ -92,10 +92,10 @@ async def unknown_parameter(bench: Bench) -> str:
     """Autopilots do not answer a request for an unknown parameter, which must time out."""
     start = bench.now
     reason = await refused(bench, "parameter", NO_PARAMETER)
-    took = bench.now - start
-    if took > UNKNOWN_BY:
-        raise CheckFailed(f"after {took:.1f} s: {reason}")
-    return f"after {took:.1f} s: {reason}"
+    elapsed = bench.now - start
+    if elapsed > UNKNOWN_BY:
+        raise CheckFailed(f"after {elapsed:.1f} s: {reason}")
+    return f"after {elapsed:.1f} s: {reason}"
 
 
 @GROUND.check("a parameter is written", moves=True)
@@ -114,9 +114,9 @@ async def write_parameter(bench: Bench) -> str:
 @GROUND.check("files", moves=False)
 async def files(bench: Bench) -> str:
     """Lists the root folder; an unknown one fails."""
-    listed = (await bench.call("listFiles", "/")).splitlines()
+    entries = (await bench.call("listFiles", "/")).splitlines()
     reason = await refused(bench, "readFile", "/lfield/has/none")
-    return f"{len(listed)} entries: {' '.join(listed[:5])}; unknown folder: {reason}"
+    return f"{len(entries)} entries: {' '.join(entries[:5])}; unknown folder: {reason}"
 
 
 @GROUND.check("it can be armed", moves=True)
@@ -147,24 +147,24 @@ async def modes(bench: Bench) -> str:
 @GROUND.check("the limits of its binding are enforced", moves=True)
 async def limits(bench: Bench) -> str:
     """Goals beyond the limits are refused while the vehicle is at rest, before any command is sent."""
-    given = bench.binding.limits
+    bounds = bench.binding.limits
     north, east, down = bench.query("position")
     # Limits are relative to home, which it may be away from; positions may use another frame.
     home = down + bench.query("altitude")
-    beyond = {
-        "altitude": ("goTo", north, east, home - given.get("altitude", 0.0) - 1.0),
-        "radius": ("goTo", north + 2.0 * given.get("radius", 0.0) + 1.0, east, home - 1.0),
-        "speed": ("setVelocity", given.get("speed", 0.0) + 1.0, 0.0, 0.0),
+    excessive = {
+        "altitude": ("goTo", north, east, home - bounds.get("altitude", 0.0) - 1.0),
+        "radius": ("goTo", north + 2.0 * bounds.get("radius", 0.0) + 1.0, east, home - 1.0),
+        "speed": ("setVelocity", bounds.get("speed", 0.0) + 1.0, 0.0, 0.0),
     }
-    if not given:
+    if not bounds:
         raise NotTried("its binding has no 'limits'")
-    for name in given:
-        reason = await refused(bench, *beyond[name])
+    for name in bounds:
+        reason = await refused(bench, *excessive[name])
         if "limit" not in reason:
             raise CheckFailed(
-                f"beyond the {name} of {given[name]:g} it was refused for another reason: {reason}"
+                f"beyond the {name} of {bounds[name]:g} it was refused for another reason: {reason}"
             )
-    return ", ".join(f"{name} {value:g}" for name, value in given.items())
+    return ", ".join(f"{name} {value:g}" for name, value in bounds.items())
 
 
 @GROUND.check("payload answers", moves=True)
@@ -176,10 +176,10 @@ async def payload(bench: Bench) -> str:
             await bench.call(instruction, *arguments)
             outcomes.append(f"{instruction} done")
         except DeviceError as error:
-            silent = error.kind == "DeviceTimeoutException"
-            if silent and not bench.identity.startswith("PX4"):
+            is_timeout = error.kind == "DeviceTimeoutException"
+            if is_timeout and not bench.identity.startswith("PX4"):
                 raise
-            outcomes.append(f"{instruction} {'not there' if silent else 'refused'}")
+            outcomes.append(f"{instruction} {'missing' if is_timeout else 'refused'}")
     # The vehicle itself still responds.
     bench.query("mode")
     return ", ".join(outcomes)

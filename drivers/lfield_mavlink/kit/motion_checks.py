@@ -24,14 +24,14 @@ from lfield_mavlink.services.plan_items import WAYPOINT
 MOTION = Kit()
 
 #: Metres: height of a copter, and distance of all vehicles.
-HEIGHT, FAR = 3.0, 3.0
+HEIGHT, TRIP_DISTANCE = 3.0, 3.0
 #: Turn in radians.
 QUARTER = math.pi / 2
 #: Seconds at the speed limit that would reveal an excess, and the least share of it that must be reached for
 #: a result.
-RUN, TRIED = 5.0, 0.6
+RUN_TIME, MIN_SHARE = 5.0, 0.6
 #: m/s: setpoint; moving above; at rest below.
-SPEED, MOVES, STANDS = 1.0, 0.3, 0.2
+SPEED, MOVING_SPEED, REST_SPEED = 1.0, 0.3, 0.2
 #: Seconds that a latch may be reported late by the guard.
 LATE = 0.5
 
@@ -52,11 +52,11 @@ async def arming(bench: Bench) -> str:
     """The armed bit follows the instructions."""
     await bench.call("arm")
     try:
-        _see(bench.query("armed"), "arm() returned, but it is not armed")
+        _require(bench.query("armed"), "arm() returned, but it is not armed")
         mode = bench.query("mode")
     finally:
         await bench.call("disarm")
-    _see(not bench.query("armed"), "disarm() returned, but it is armed")
+    _require(not bench.query("armed"), "disarm() returned, but it is armed")
     return f"armed in {mode}, disarmed"
 
 
@@ -65,18 +65,18 @@ async def trip(bench: Bench) -> str:
     """Takeoff, there and back, a turn, hold; goTo() returns on arrival, hold() in its mode."""
     async with _under_way(bench):
         start = bench.query("position")
-        off = []
-        for way in (_far(bench), 0.0):
-            goal = (start[0] + way, start[1], start[2])
+        errors = []
+        for distance in (_trip_distance(bench), 0.0):
+            goal = (start[0] + distance, start[1], start[2])
             await bench.call("goTo", *goal)
-            off.append(math.dist(bench.query("position")[:2], goal[:2]))
-        _see(max(off) <= await _tolerance(bench), f"goTo() returned {max(off):.2f} m from its goal")
-        turned = await _turn(bench)
+            errors.append(math.dist(bench.query("position")[:2], goal[:2]))
+        _require(max(errors) <= await _tolerance(bench), f"goTo() returned {max(errors):.2f} m from its goal")
+        turn = await _turn(bench)
         await bench.call("hold")
-        await _stops(bench)
+        await _await_stop(bench)
         return (
-            f"at {bench.query('altitude'):.1f} m; {off[0]:.2f} m off at {_far(bench):g} m, {off[1]:.2f} m "
-            f"off after return; {turned}; held in {bench.query('mode')}"
+            f"at {bench.query('altitude'):.1f} m; {errors[0]:.2f} m off at {_trip_distance(bench):g} m, "
+            f"{errors[1]:.2f} m off after return; {turn}; held in {bench.query('mode')}"
         )
 
 
@@ -85,18 +85,22 @@ async def cancels(bench: Bench) -> str:
     """A cancelled vehicle stops where it was, free for the next goal; a landing is completed."""
     async with _under_way(bench):
         north, east, down = bench.query("position")
-        outcomes = [await cancelled(bench, lambda: _moves(bench), "goTo", north + _far(bench), east, down)]
-        await _stops(bench)
-        left = math.dist(bench.query("position")[:2], (north + _far(bench), east))
-        _see(left > float(bench.binding.option("tolerance")), "its goTo() was cancelled but was completed")
+        outcomes = [
+            await cancelled(bench, lambda: _moves(bench), "goTo", north + _trip_distance(bench), east, down)
+        ]
+        await _await_stop(bench)
+        remaining = math.dist(bench.query("position")[:2], (north + _trip_distance(bench), east))
+        _require(
+            remaining > float(bench.binding.option("tolerance")), "its goTo() was cancelled but was completed"
+        )
         if _kind(bench) == "copter":
-            outcomes.append(await cancelled(bench, lambda: bench.query("climb") < -MOVES, "land"))
-            _see(not bench.query("armed"), "land() returned, but its motors are on")
+            outcomes.append(await cancelled(bench, lambda: bench.query("climb") < -MOVING_SPEED, "land"))
+            _require(not bench.query("armed"), "land() returned, but its motors are on")
             await bench.call("arm")
-            climbs = cancelled(bench, lambda: bench.query("climb") > MOVES, "takeoff", _height(bench))
-            outcomes.append(await climbs)
-            await bench.until(lambda: abs(bench.query("climb")) < STANDS, 10.0, "it to stop climbing")
-            _see(bench.query("altitude") < _height(bench), "its takeoff was cancelled but continued")
+            climb = cancelled(bench, lambda: bench.query("climb") > MOVING_SPEED, "takeoff", _height(bench))
+            outcomes.append(await climb)
+            await bench.until(lambda: abs(bench.query("climb")) < REST_SPEED, 10.0, "it to stop climbing")
+            _require(bench.query("altitude") < _height(bench), "its takeoff was cancelled but continued")
         return "; ".join(outcomes)
 
 
@@ -106,25 +110,25 @@ async def plan(bench: Bench) -> str:
     if bench.identity.startswith("PX4") and not bench.binding.waives(AUTONOMOUS):
         raise NotTried(f"its binding does not waive {AUTONOMOUS}, which a plan of PX4 needs")
     async with restored(bench, MISSION), _under_way(bench):
-        here = Place(*bench.query("globalPosition"))
-        goals = [here.shifted((north, 0.0, 0.0)) for north in (_far(bench), 0.0)]
+        start = Place(*bench.query("globalPosition"))
+        goals = [start.shifted((north, 0.0, 0.0)) for north in (_trip_distance(bench), 0.0)]
         await bench.call("flyPlan", _plan_of(goals, bench.query("altitude")))
         reached = bench.query("missionReached")
-        _see(
+        _require(
             reached == 1,
             f"flyPlan() returned, but item {reached} is the last that it has reached, of 0 and 1",
         )
         await bench.call("hold")
-        await _stops(bench)
-        off = here.to(Place(*bench.query("globalPosition")))
-        return f"2 waypoints, {_far(bench):g} m away and back; {math.hypot(*off[:2]):.1f} m off at the end"
+        await _await_stop(bench)
+        error = math.hypot(*start.vector_to(Place(*bench.query("globalPosition")))[:2])
+        return f"2 waypoints, {_trip_distance(bench):g} m away and back; {error:.1f} m off at the end"
 
 
 def _plan_of(goals: Sequence[Place], height: float) -> str:
     """A plan without a takeoff: the vehicle is under way."""
     values = [(0.0, 0.0, 0.0, 0.0, goal.latitude, goal.longitude, height) for goal in goals]
-    items = [mission_item(WAYPOINT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, each) for each in values]
-    return plan_text(PlanFile("kit.plan", tuple(NumberedItem(n, each) for n, each in enumerate(items, 1))))
+    items = [mission_item(WAYPOINT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, entry) for entry in values]
+    return plan_text(PlanFile("kit.plan", tuple(NumberedItem(n, entry) for n, entry in enumerate(items, 1))))
 
 
 @MOTION.check("its speed limit is enforced", moves=True)
@@ -133,16 +137,18 @@ async def speed_limit(bench: Bench) -> str:
     limit = bench.binding.limits.get("speed")
     if limit is None:
         raise NotTried("its binding has no 'limits'")
-    far = min(RUN * limit, bench.binding.limits.get("radius", math.inf) / 2)
+    run_distance = min(RUN_TIME * limit, bench.binding.limits.get("radius", math.inf) / 2)
     async with _under_way(bench):
         start, fastest = bench.query("position"), []
-        for way in (far, 0.0):
-            fastest.append(await _fastest(bench, start[0] + way, start[1], start[2]))
+        for distance in (run_distance, 0.0):
+            fastest.append(await _fastest(bench, start[0] + distance, start[1], start[2]))
             await bench.call("hold")
         allowed = limit * (1.0 + float(bench.binding.option("limit_tolerance")))
         outcome = f"{' and '.join(f'{speed:.2f}' for speed in fastest)} m/s at most, of {limit:g}"
-        _see(max(fastest) <= allowed, outcome)
-        _see(max(fastest) >= TRIED * limit, f"{outcome}: {far:g} m are too short for a result")
+        _require(max(fastest) <= allowed, outcome)
+        _require(
+            max(fastest) >= MIN_SHARE * limit, f"{outcome}: {run_distance:g} m are too short for a result"
+        )
         return outcome
 
 
@@ -150,20 +156,20 @@ async def speed_limit(bench: Bench) -> str:
 async def velocity(bench: Bench) -> str:
     """The guard brings the vehicle into the safe state after the time-to-live, where it comes to rest."""
     async with _under_way(bench):
-        last = await _drive(bench, min(SPEED, bench.binding.limits.get("speed", math.inf)))
+        sent_at = await _drive(bench, min(SPEED, bench.binding.limits.get("speed", math.inf)))
         ttl = bench.binding.ttl
         await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
-        ended = bench.now - last
-        _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
+        elapsed = bench.now - sent_at
+        _require(elapsed <= ttl + LATE, f"it ended only after {elapsed:.2f} s")
         reason = bench.latched
         reports = await rested(bench)
         if bench.binding.safe_state == "hold" or _kind(bench) == "rover":
-            await _stops(bench)
+            await _await_stop(bench)
         else:
-            _see(bool(reports), "it landed without reporting it")
+            _require(bool(reports), "it landed without reporting it")
             await bench.until(lambda: not bench.query("armed"), LATE, "its motors to be off, as reported")
-        way = f", then {reports[0]}" if reports else ""
-        return f"after {ended:.2f} s, {reason}{way}; then it was in {bench.query('mode')}"
+        report = f", then {reports[0]}" if reports else ""
+        return f"after {elapsed:.2f} s, {reason}{report}; then it was in {bench.query('mode')}"
 
 
 @MOTION.check("a host that stops responding during a motion", moves=True)
@@ -181,7 +187,7 @@ async def ends_safely(bench: Bench) -> str:
     await bench.until(
         lambda: bench.query("landed") and not bench.query("armed"), 10.0, "it to be at rest, disarmed"
     )
-    _see(not bench.latched, f"it is latched: {bench.latched}")
+    _require(not bench.latched, f"it is latched: {bench.latched}")
     return f"in {bench.query('mode')}, motors off"
 
 
@@ -207,33 +213,33 @@ async def _drive(bench: Bench, speed: float) -> float:
     pause = bench.binding.ttl / 4.0
     end = bench.now + 5.0
     while bench.now < end:
-        last = bench.now
+        sent_at = bench.now
         await bench.call("setVelocity", speed, 0.0, 0.0)
-        if math.hypot(*bench.query("velocity")[:2]) >= MOVES * speed:
-            return last
+        if math.hypot(*bench.query("velocity")[:2]) >= MOVING_SPEED * speed:
+            return sent_at
         await asyncio.sleep(pause)
     raise CheckFailed(f"setVelocity({speed:g}, 0, 0) does not move it")
 
 
 async def _fastest(bench: Bench, *goal: float) -> float:
     """The highest horizontal speed on the way to a position."""
-    going, most = asyncio.ensure_future(bench.call("goTo", *goal)), 0.0
+    motion, highest = asyncio.ensure_future(bench.call("goTo", *goal)), 0.0
     try:
-        while not going.done():
-            await asyncio.wait([going], timeout=0.05)
-            most = max(most, math.hypot(*bench.query("velocity")[:2]))
-        await going
+        while not motion.done():
+            await asyncio.wait([motion], timeout=0.05)
+            highest = max(highest, math.hypot(*bench.query("velocity")[:2]))
+        await motion
     finally:
-        going.cancel()
-    return most
+        motion.cancel()
+    return highest
 
 
 def _moves(bench: Bench) -> bool:
-    return math.hypot(*bench.query("velocity")[:2]) > MOVES
+    return math.hypot(*bench.query("velocity")[:2]) > MOVING_SPEED
 
 
-async def _stops(bench: Bench) -> None:
-    await bench.until(lambda: math.hypot(*bench.query("velocity")[:2]) < STANDS, 10.0, "it to stop")
+async def _await_stop(bench: Bench) -> None:
+    await bench.until(lambda: math.hypot(*bench.query("velocity")[:2]) < REST_SPEED, 10.0, "it to stop")
 
 
 async def _turn(bench: Bench) -> str:
@@ -245,9 +251,9 @@ async def _turn(bench: Bench) -> str:
         if CANNOT_TURN in str(error):
             return "it can turn only while driving"
         raise
-    off = abs(math.remainder(bench.query("heading") - heading, math.tau))
-    _see(off <= 2.0 * HEADING_TOLERANCE, f"yaw() returned {off:.2f} rad from its heading")
-    return f"turned, {off:.2f} rad off"
+    deviation = abs(math.remainder(bench.query("heading") - heading, math.tau))
+    _require(deviation <= 2.0 * HEADING_TOLERANCE, f"yaw() returned {deviation:.2f} rad from its heading")
+    return f"turned, {deviation:.2f} rad off"
 
 
 def _kind(bench: Bench) -> str:
@@ -256,20 +262,20 @@ def _kind(bench: Bench) -> str:
 
 async def _tolerance(bench: Bench) -> float:
     """Metres: telemetry is slightly older than the driver's data. ArduPilot stops a rover at WP_RADIUS."""
-    stops = 0.0
+    stop_radius = 0.0
     if _kind(bench) == "rover" and bench.identity.startswith("ArduPilot"):
-        stops = await bench.call("parameter", "WP_RADIUS")
-    return max(2.0 * float(bench.binding.option("tolerance")), stops + 0.5)
+        stop_radius = await bench.call("parameter", "WP_RADIUS")
+    return max(2.0 * float(bench.binding.option("tolerance")), stop_radius + 0.5)
 
 
 def _height(bench: Bench) -> float:
     return min(HEIGHT, bench.binding.limits.get("altitude", math.inf))
 
 
-def _far(bench: Bench) -> float:
-    return min(FAR, bench.binding.limits.get("radius", math.inf) / 2)
+def _trip_distance(bench: Bench) -> float:
+    return min(TRIP_DISTANCE, bench.binding.limits.get("radius", math.inf) / 2)
 
 
-def _see(shown: bool, otherwise: str) -> None:
-    if not shown:
-        raise CheckFailed(otherwise)
+def _require(condition: bool, failure: str) -> None:
+    if not condition:
+        raise CheckFailed(failure)

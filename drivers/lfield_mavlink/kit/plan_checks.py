@@ -14,7 +14,7 @@ from lfield_mavlink.geodesy import Place
 PLANS = Kit()
 
 #: Metres: distance of waypoints, their height above home, and radius of the fence.
-FAR, HEIGHT, FENCE = 20.0, 5.0, 500.0
+WAYPOINT_DISTANCE, HEIGHT, FENCE = 20.0, 5.0, 500.0
 #: Precision of a plan that is read back: degrees, and metres.
 DEGREES, METRES = 1e-6, 0.1
 
@@ -36,8 +36,10 @@ _RALLY = StoredPlan("rally points", "rallyPoints", "setRallyPoints", "clearRally
 @PLANS.check("a mission is uploaded, read back and cleared", moves=True)
 async def mission(bench: Bench) -> str:
     """Three waypoints around its position."""
-    far, height = _within_limits(bench)
-    return await _tried(bench, MISSION, [(*corner, height) for corner in _around(bench, far, 3)])
+    distance, height = _within_limits(bench)
+    return await _write_and_clear(
+        bench, MISSION, [(*corner, height) for corner in _around(bench, distance, 3)]
+    )
 
 
 @PLANS.check("a fence is set, read back and cleared", moves=True)
@@ -49,7 +51,7 @@ async def fence(bench: Bench) -> str:
     if zones:
         raise NotTried(f"it has a fence, which is not changed: {zones.splitlines()[0]}")
     latitude, longitude, _ = bench.query("globalPosition")
-    before = await _switches(bench)
+    parameters = await _switches(bench)
     lines = []
     try:
         await bench.call("setFenceCircle", latitude, longitude, FENCE)
@@ -61,81 +63,87 @@ async def fence(bench: Bench) -> str:
         lines += (await bench.call("fence")).splitlines()
     finally:
         await bench.call("clearFence")
-        for name, value in before.items():
+        for name, value in parameters.items():
             await bench.call("setParameter", name, value)
     kinds = [line.split()[:2] for line in lines]
     if kinds != [["inside", "circle"], ["inside", "polygon"], ["outside", "circle"]]:
         raise CheckFailed(f"read back: {'; '.join(lines) or 'nothing'}")
     circle = [float(text) for text in lines[0].split()[2:]]
-    _same([latitude, longitude, FENCE], circle, "a circle")
-    left = await bench.call("fence")
-    if left:
-        raise CheckFailed(f"after clearFence() there was {left}")
+    _require_equal([latitude, longitude, FENCE], circle, "a circle")
+    remaining = await bench.call("fence")
+    if remaining:
+        raise CheckFailed(f"after clearFence() there was {remaining}")
     return f"{lines[0]}; a polygon with a circle outside; now none, as before"
 
 
 @PLANS.check("rally points are set, read back and cleared", moves=True)
 async def rally(bench: Bench) -> str:
     """Two points near its position."""
-    far, height = _within_limits(bench)
-    return await _tried(bench, _RALLY, [(*corner, height) for corner in _around(bench, far, 2)])
+    distance, height = _within_limits(bench)
+    return await _write_and_clear(
+        bench, _RALLY, [(*corner, height) for corner in _around(bench, distance, 2)]
+    )
 
 
 def _within_limits(bench: Bench) -> tuple[float, float]:
     """Horizontal distance and height above home that the binding allows, in metres."""
     limits = bench.binding.limits
-    return min(FAR, limits.get("radius", math.inf) / 2), min(HEIGHT, limits.get("altitude", math.inf))
+    return min(WAYPOINT_DISTANCE, limits.get("radius", math.inf) / 2), min(
+        HEIGHT, limits.get("altitude", math.inf)
+    )
 
 
-async def _tried(bench: Bench, plan: StoredPlan, points: Sequence[tuple[float, float, float]]) -> str:
+async def _write_and_clear(
+    bench: Bench, plan: StoredPlan, points: Sequence[tuple[float, float, float]]
+) -> str:
     """Writes a plan, reads it back and clears it."""
     values = [value for point in points for value in point]
-    async with restored(bench, plan) as before:
+    async with restored(bench, plan) as previous:
         await bench.call(plan.write, values)
-        _same(values, await bench.call(plan.read), plan.points)
+        _require_equal(values, await bench.call(plan.read), plan.points)
         await bench.call(plan.clear)
-        left = await bench.call(plan.read)
-        if left:
-            raise CheckFailed(f"{len(left) // 3} {plan.points} remained after {plan.clear}()")
-    return f"{len(points)} {plan.points}; now it holds {len(before) // 3}, as before"
+        remaining = await bench.call(plan.read)
+        if remaining:
+            raise CheckFailed(f"{len(remaining) // 3} {plan.points} remained after {plan.clear}()")
+    return f"{len(points)} {plan.points}; now it holds {len(previous) // 3}, as before"
 
 
 @asynccontextmanager
 async def restored(bench: Bench, plan: StoredPlan) -> AsyncIterator[list[float]]:
     """The stored plan, which is restored at the end in every case. Raises NotTried."""
-    before = await _kept(bench, plan)
+    previous = await _stored_plan(bench, plan)
     try:
-        yield before
+        yield previous
     finally:
-        await _give_back(bench, plan, before)
+        await _restore(bench, plan, previous)
 
 
-async def _kept(bench: Bench, plan: StoredPlan) -> list[float]:
-    """The stored plan, for restoring. Raises NotTried if it could not be restored.
+async def _stored_plan(bench: Bench, plan: StoredPlan) -> list[float]:
+    """Reads the stored plan. Raises NotTried if it could not be restored.
 
     That is verified before the plan is changed: a limit of the binding may forbid the vehicle's plan.
     """
     try:
-        kept: list[float] = await bench.call(plan.read)
-        if kept:
-            await bench.call(plan.write, kept)
+        values: list[float] = await bench.call(plan.read)
+        if values:
+            await bench.call(plan.write, values)
     except DeviceError as error:
         if error.kind == "DeviceTimeoutException":
             raise
         raise NotTried(f"the stored plan could not be restored: {error.reason}") from None
-    return kept
+    return values
 
 
-async def _give_back(bench: Bench, plan: StoredPlan, before: list[float]) -> None:
+async def _restore(bench: Bench, plan: StoredPlan, previous: list[float]) -> None:
     """Restores a plan. Raises CheckFailed, which takes precedence over an earlier failure."""
     try:
-        if before:
-            await bench.call(plan.write, before)
+        if previous:
+            await bench.call(plan.write, previous)
         else:
             await bench.call(plan.clear)
     except DeviceError as error:
-        held = f"its {len(before) // 3} {plan.points} were" if before else "its empty plan was"
-        raise CheckFailed(f"{held} not given back: {error.reason}") from error
+        subject = f"its {len(previous) // 3} {plan.points} were" if previous else "its empty plan was"
+        raise CheckFailed(f"{subject} not restored: {error.reason}") from error
 
 
 async def _switches(bench: Bench) -> dict[str, float]:
@@ -145,19 +153,22 @@ async def _switches(bench: Bench) -> dict[str, float]:
     return {name: await bench.call("parameter", name) for name in ("FENCE_TYPE", "FENCE_ENABLE")}
 
 
-def _around(bench: Bench, far: float, count: int) -> list[tuple[float, float]]:
+def _around(bench: Bench, distance: float, count: int) -> list[tuple[float, float]]:
     """Latitude and longitude of `count` positions on a circle around the vehicle."""
-    here = Place(*bench.query("globalPosition"))
+    position = Place(*bench.query("globalPosition"))
     angles = [math.tau * number / count for number in range(count)]
-    places = [here.shifted((far * math.cos(angle), far * math.sin(angle), 0.0)) for angle in angles]
+    places = [
+        position.shifted((distance * math.cos(angle), distance * math.sin(angle), 0.0)) for angle in angles
+    ]
     return [(place.latitude, place.longitude) for place in places]
 
 
-def _same(expected: list[float], found: list[float], what: str) -> None:
+def _require_equal(expected: list[float], received: list[float], subject: str) -> None:
     """Raises CheckFailed unless {latitude, longitude, metres}* were read back as sent."""
-    near = [DEGREES, DEGREES, METRES] * (len(expected) // 3)
-    fits = len(found) == len(expected) and all(
-        abs(now - then) <= most for now, then, most in zip(found, expected, near, strict=True)
+    tolerances = [DEGREES, DEGREES, METRES] * (len(expected) // 3)
+    is_equal = len(received) == len(expected) and all(
+        abs(actual - sent) <= tolerance
+        for actual, sent, tolerance in zip(received, expected, tolerances, strict=True)
     )
-    if not fits:
-        raise CheckFailed(f"{what}: expected {expected}, read back {found}")
+    if not is_equal:
+        raise CheckFailed(f"{subject}: expected {expected}, read back {received}")

@@ -43,8 +43,8 @@ _LAYOUTS = {number: Layout(kind) for number, kind in dialect.mavlink_map.items()
 
 def request_message(system: int, kind: int) -> Any:
     """COMMAND_LONG that requests one message of a kind from the autopilot of a system."""
-    asks, rest = dialect.MAV_CMD_REQUEST_MESSAGE, [0.0] * 6
-    return dialect.MAVLink_command_long_message(system, AUTOPILOT, asks, 0, float(kind), *rest)
+    command, unused = dialect.MAV_CMD_REQUEST_MESSAGE, [0.0] * 6
+    return dialect.MAVLink_command_long_message(system, AUTOPILOT, command, 0, float(kind), *unused)
 
 
 def station_heartbeat(system: int) -> Any:
@@ -58,8 +58,8 @@ def station_heartbeat(system: int) -> Any:
 
 def is_echo(message: Any, system: int) -> bool:
     """Whether a heartbeat with a station's id is an echo of our own."""
-    mine = message.type == dialect.MAV_TYPE_GCS and message.get_srcComponent() == COMPONENT
-    return bool(mine and message.custom_mode == system)
+    is_own_type = message.type == dialect.MAV_TYPE_GCS and message.get_srcComponent() == COMPONENT
+    return bool(is_own_type and message.custom_mode == system)
 
 
 class Header(NamedTuple):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lfield.driver import DeviceError
 
 #: Seconds between attempts to reopen a link, and per attempt.
-AGAIN, ATTEMPT = 1.0, 2.0
+RETRY_INTERVAL, ATTEMPT_TIMEOUT = 1.0, 2.0
 
 
 #: Receives bytes.

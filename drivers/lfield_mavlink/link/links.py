@@ -5,12 +5,12 @@ udpin:HOST:PORT       listens for vehicles that send (packets are sent to all re
 tcp:HOST:PORT         connects
 serial:/dev/ttyX:BAUD a serial port, 8N1
 
-HOST is a name or an address, an IPv6 address in brackets: tcp:[fd00::5]:5760. Each link is opened again by
-itself, with the name resolved anew, when it breaks or falls silent. Several of them, with commas between, are
-links to the same vehicles. `payload=udp:HOST:PORT` leads to their cameras and gimbals only.
+HOST is a name or an address, an IPv6 address in brackets: tcp:[fd00::5]:5760. A link that breaks or falls
+silent is reopened automatically, and its name is resolved again. Several links, separated by commas, lead to
+the same vehicles. `payload=udp:HOST:PORT` leads to their cameras and gimbals only.
 
 MAVSDK's udp://:PORT, udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT and serial:///dev/ttyX:BAUD
-are read too.
+are accepted too.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from lfield.driver import DeviceError
 from lfield.driver.network import is_host, unbracketed
 from lfield.driver.serial import SerialPort, parse_serial_endpoint
 from lfield_mavlink import log_messages
-from lfield_mavlink.link.link_events import AGAIN, LinkEvents, OnData
+from lfield_mavlink.link.link_events import RETRY_INTERVAL, LinkEvents, OnData
 from lfield_mavlink.link.tcp import TcpLink
 from lfield_mavlink.link.udp import UdpLink, UdpListener
 
 __all__ = [
-    "AGAIN",
+    "RETRY_INTERVAL",
     "Link",
     "LinkEvents",
     "LinkUses",
@@ -54,7 +54,7 @@ class Link(Protocol):
     def send_to(self, data: bytes, address: str) -> None:
         """Sends one packet to an address from which data was received."""
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         """The text to report when no data was received: known facts and a remedy."""
 
     def close(self) -> None:
@@ -73,7 +73,7 @@ class LinkUses(NamedTuple):
     payload: Sequence[int]
 
     @classmethod
-    def of(cls, endpoint: str) -> LinkUses:
+    def parse(cls, endpoint: str) -> LinkUses:
         """The link numbers of an endpoint; a link may occur with and without the prefix."""
         parts, links = _parts(endpoint), split_endpoint(endpoint)
         return cls(
@@ -91,30 +91,30 @@ def parse_endpoint(endpoint: str) -> list[tuple[str, str, int]]:
 
     Raises DeviceError with the syntax.
     """
-    if not LinkUses.of(endpoint).vehicles:
+    if not LinkUses.parse(endpoint).vehicles:
         raise DeviceError("endpoint", f"'{endpoint}' has no link to the vehicle; write {SYNTAX}")
     return [_parsed(link) for link in split_endpoint(endpoint)]
 
 
-def _parsed(written: str) -> tuple[str, str, int]:
-    link = _from_url(written)
+def _parsed(text: str) -> tuple[str, str, int]:
+    link = _from_url(text)
     kind, _, rest = link.partition(":")
     place, _, number = rest.rpartition(":")
     if kind not in ("udp", "udpin", "tcp", "serial") or not place:
-        raise DeviceError("endpoint", f"'{written}' is not an endpoint; write {SYNTAX}")
+        raise DeviceError("endpoint", f"'{text}' is not an endpoint; write {SYNTAX}")
     if kind == "serial":
         return kind, *parse_serial_endpoint(link)
     if not (number.isascii() and number.isdecimal() and 0 < int(number[:6]) < 65536):
-        raise DeviceError("endpoint", f"'{written}': the port '{number}' is not a number from 1 to 65535")
+        raise DeviceError("endpoint", f"'{text}': the port '{number}' is not a number from 1 to 65535")
     if not is_host(unbracketed(place)):
-        raise DeviceError("endpoint", f"'{written}': '{place}' is neither a host name nor an address")
+        raise DeviceError("endpoint", f"'{text}': '{place}' is neither a host name nor an address")
     return kind, unbracketed(place), int(number)
 
 
 def _from_url(link: str) -> str:
     """The endpoint in lfield's form of one in MAVSDK's; raises DeviceError where that is ambiguous."""
-    scheme, mark, rest = link.partition("://")
-    if not mark:
+    scheme, separator, rest = link.partition("://")
+    if not separator:
         return link
     if scheme == "udp" and rest.startswith(":"):
         return f"udpin:0.0.0.0{rest}"
@@ -165,7 +165,7 @@ class SerialLink:
         """Writes to the port, which has one peer."""
         self.port.write(data)
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         """The text for a silent port: it needs the right baud rate and an autopilot configured for
         MAVLink.
         """

@@ -19,11 +19,11 @@ from lfield_mavlink.link.sender_separation import Board, HeartbeatContradictions
 
 #: Seconds after its last packet for which an address is in use, and for which a second one with heartbeats is
 #: a conflict.
-IN_USE, LASTS = 2.5, 4.0
+USE_TIMEOUT, CONFLICT_TIME = 2.5, 4.0
 #: Seconds for which both must send: packets of an abandoned address may arrive late.
-BOTH = 0.5
+OVERLAP_TIME = 0.5
 #: Seconds of listening until a single vehicle is certain: an autopilot's heartbeat is 1 Hz.
-LISTENS = 1.2
+LISTEN_TIME = 1.2
 #: Addresses stored, queries for the unique id of each, and seconds between two queries.
 MAX_SOURCES, MAX_QUERIES, QUERY_INTERVAL = 16, 5, 0.5
 #: Difference of two boot clocks in seconds: the same vehicle over two links below; different vehicles above,
@@ -33,9 +33,9 @@ SAME_CLOCK, OTHER_CLOCK = 2.0, 5.0
 REMEDY = "give each vehicle a system id of its own (MAV_SYSID, SYSID_THISMAV or MAV_SYS_ID)"
 #: The number of times that a clock must go back within so many seconds to indicate two vehicles at one
 #: address.
-BACKWARDS, WITHIN = 3, 5.0
+BACKWARDS, BACKWARDS_TIME = 3, 5.0
 #: Seconds within which two vehicles at one address both answer two queries.
-BY_TURNS = 2.0
+ALTERNATION_TIME = 2.0
 #: Messages that may identify the vehicle behind an address.
 _IDENTIFYING = (dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
@@ -75,12 +75,12 @@ class _SourceState:
         """Handles a packet."""
         self.at = now
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
-            if now - self.beat > LASTS:
+            if now - self.beat > CONFLICT_TIME:
                 self.first_beat, self.queries = now, 0
             self.beat = now
             self.heartbeats.on_heartbeat(message, now)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-            self._on_board(Board.of(message), now)
+            self._on_board(Board.from_message(message), now)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_ATTITUDE:
             # One kind only: some senders have a different clock for each kind of message.
             self._on_clock(message.time_boot_ms / 1000.0, now)
@@ -89,7 +89,7 @@ class _SourceState:
         """Handles a report of the board: a vehicle that replaces another one changes the board once."""
         if board == self.board:
             return
-        if board == self.former and now - self.changed <= BY_TURNS:
+        if board == self.former and now - self.changed <= ALTERNATION_TIME:
             self.doubled = now
         self.board, self.former, self.changed = board, self.board, now
 
@@ -102,25 +102,25 @@ class _SourceState:
 
     def is_mixed(self, now: float) -> bool:
         """Whether two boards answer from this source, or two clocks alternate."""
-        by_turns = len(self.backwards) == BACKWARDS and now - self.backwards[0] <= WITHIN
-        return by_turns or now - self.doubled <= LASTS
+        alternates = len(self.backwards) == BACKWARDS and now - self.backwards[0] <= BACKWARDS_TIME
+        return alternates or now - self.doubled <= CONFLICT_TIME
 
-    def is_same(self, other: _SourceState, *, both: bool) -> bool | None:
+    def is_same(self, other: _SourceState, *, both_send: bool) -> bool | None:
         """Whether two sources are one vehicle; None while unknown.
 
-        `both`: both send now. The clock of a silent one may have restarted elsewhere.
+        `both_send`: both send now. The clock of a silent source may have restarted elsewhere.
         """
-        mine, others = self.board, other.board
-        if mine is None or others is None:
+        own_board, other_board = self.board, other.board
+        if own_board is None or other_board is None:
             if self.queries < MAX_QUERIES:
                 return None
-        elif mine.uid or others.uid:
-            if mine.uid != others.uid or not both:
-                return mine.uid == others.uid
+        elif own_board.uid or other_board.uid:
+            if own_board.uid != other_board.uid or not both_send:
+                return own_board.uid == other_board.uid
             return self._has_clock_of(other, OTHER_CLOCK)
-        elif mine != others:
+        elif own_board != other_board:
             return False
-        if not (both or self.is_rival):
+        if not (both_send or self.is_rival):
             return True
         return self._has_clock_of(other, SAME_CLOCK)
 
@@ -148,7 +148,7 @@ class Sources:
         self._states: dict[Source, _SourceState] = {}
         self._own: set[Source] = set()
         self._first = math.inf
-        self._rivals: dict[Source, float] = {}
+        self._conflicting: dict[Source, float] = {}
         # Own addresses that a second vehicle uses as well.
         self._mixed: set[Source] = set()
         self.events: list[str] = []
@@ -190,21 +190,21 @@ class Sources:
         if len(self._states) >= MAX_SOURCES and others:
             oldest = min(others, key=lambda each: self._states[each].at)
             del self._states[oldest]
-            self._rivals.pop(oldest, None)
+            self._conflicting.pop(oldest, None)
         return self._states.setdefault(source, _SourceState())
 
     def _on_other(self, source: Source, state: _SourceState, now: float) -> None:
         """Handles a heartbeat from an unknown address."""
-        used = [each for each in self._own if now - self._states[each].at <= IN_USE]
+        used = [each for each in self._own if now - self._states[each].at <= USE_TIMEOUT]
         if same_port := [each for each in used if each.link == source.link]:
-            if any(self._states[each].at - state.first_beat >= BOTH for each in same_port):
+            if any(self._states[each].at - state.first_beat >= OVERLAP_TIME for each in same_port):
                 state.is_rival = True
                 self._conflict(source, now)
             return
-        same = self._is_same(state, used)
-        if same is False:
+        is_same = self._is_same(state, used)
+        if is_same is False:
             self._conflict(source, now)
-        elif same:
+        elif is_same:
             self._adopt(source, used)
 
     def _adopt(self, source: Source, used: Sequence[Source]) -> None:
@@ -212,16 +212,16 @@ class Sources:
         all.
         """
         if not used:
-            before = ", ".join(map(self._describe, sorted(self._own)))
-            line = log_messages.ADDRESS_CHANGED.line(new=self._describe(source), old=before)
+            old_addresses = ", ".join(map(self._describe, sorted(self._own)))
+            line = log_messages.ADDRESS_CHANGED.line(new=self._describe(source), old=old_addresses)
             self.events.append(line)
         self._own = {each for each in self._own if used and each.link != source.link} | {source}
-        self._rivals.pop(source, None)
+        self._conflicting.pop(source, None)
         self.moves += 1
 
     def _is_same(self, state: _SourceState, used: Sequence[Source]) -> bool | None:
-        found = [state.is_same(self._states[each], both=bool(used)) for each in used or self._own]
-        return False if False in found else None if None in found else True
+        results = [state.is_same(self._states[each], both_send=bool(used)) for each in used or self._own]
+        return False if False in results else None if None in results else True
 
     def _is_first(self, source: Source, state: _SourceState, message: Any, now: float) -> bool:
         """Whether a packet from an own address is the vehicle's, not a second one's."""
@@ -238,21 +238,21 @@ class Sources:
         return first
 
     def _conflict(self, source: Source, now: float) -> None:
-        if now - self._rivals.get(source, -math.inf) > LASTS:
+        if now - self._conflicting.get(source, -math.inf) > CONFLICT_TIME:
             own = ", ".join(map(self._describe, sorted(self._own)))
             line = log_messages.TWO_VEHICLES.line(
                 system=self._system, own=own, other=self._describe(source), remedy=REMEDY
             )
             self.events.append(line)
-        self._rivals[source] = now
+        self._conflicting[source] = now
 
-    # -- what follows -------------------------------------------------------------------------------------
+    # -- results ------------------------------------------------------------------------------------------
 
     def conflict(self, now: float) -> str:
         """The addresses of two vehicles with this system id; '' for one vehicle."""
-        rivals = [each for each, at in self._rivals.items() if now - at <= LASTS]
-        if rivals:
-            names = " and ".join(map(self._describe, (*sorted(self._own), *sorted(rivals))))
+        conflicting = [each for each, at in self._conflicting.items() if now - at <= CONFLICT_TIME]
+        if conflicting:
+            names = " and ".join(map(self._describe, (*sorted(self._own), *sorted(conflicting))))
             return f"two vehicles send as system {self._system}: {names}"
         for each in sorted(self._own):
             if self._states[each].is_mixed(now):
@@ -267,24 +267,26 @@ class Sources:
         if not self._several or self.conflict(now):
             return True
         pending = (
-            now - state.beat <= LASTS for source, state in self._states.items() if source not in self._own
+            now - state.beat <= CONFLICT_TIME
+            for source, state in self._states.items()
+            if source not in self._own
         )
-        return now - self._first >= LISTENS and not any(pending)
+        return now - self._first >= LISTEN_TIME and not any(pending)
 
     def due(self, now: float) -> list[Source]:
         """The uncertain addresses to query for AUTOPILOT_VERSION now."""
-        links = {each.link for each in self._own if now - self._states[each].at <= IN_USE}
-        found = []
+        links = {each.link for each in self._own if now - self._states[each].at <= USE_TIMEOUT}
+        due_sources = []
         for source, state in self._states.items():
             if source in self._own:
-                waits = now - state.heartbeats.contradicted <= LASTS
+                is_due = now - state.heartbeats.contradicted <= CONFLICT_TIME
             else:
-                unknown = state.board is None and source.link not in links
-                waits = unknown and now - state.beat <= LASTS and state.queries < MAX_QUERIES
-            if waits and now - state.queried_at >= QUERY_INTERVAL:
+                is_unknown = state.board is None and source.link not in links
+                is_due = is_unknown and now - state.beat <= CONFLICT_TIME and state.queries < MAX_QUERIES
+            if is_due and now - state.queried_at >= QUERY_INTERVAL:
                 state.queries, state.queried_at = state.queries + 1, now
-                found.append(source)
-        return found
+                due_sources.append(source)
+        return due_sources
 
     def address(self, link: int) -> str:
         """The vehicle's address behind a link; '' for all."""

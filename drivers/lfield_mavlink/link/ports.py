@@ -60,12 +60,12 @@ class LinkCounts:
     unsigned: int = 0
 
     @classmethod
-    def over(cls, ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
+    def total(cls, ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
         """The present totals."""
         return cls(
             broken=sum(port.reader.broken for port in ports),
-            good_signatures=signing.good if signing else 0,
-            bad_signatures=signing.bad if signing else 0,
+            good_signatures=signing.valid_count if signing else 0,
+            bad_signatures=signing.invalid_count if signing else 0,
             unsigned=sum(port.signing.unsigned for port in ports if port.signing),
         )
 
@@ -128,25 +128,27 @@ class Neighbours:
         """Handles a message of another system that may move a vehicle."""
         if getattr(message, "command", None) not in (None, *_LEADS):
             return
-        who = message.get_srcSystem(), message.get_srcComponent(), now
-        self._commands[message.target_system] = who
+        sender = message.get_srcSystem(), message.get_srcComponent(), now
+        self._commands[message.target_system] = sender
         if len(self._commands) > MAX_NEIGHBOURS:
             del self._commands[next(iter(self._commands))]
 
     def commander(self, system: int, now: float) -> str:
         """The recent commander of a vehicle, such as `system 77, component 1`; '' without one."""
-        none = (0, 0, -math.inf)
-        by, component, at = max((self._commands.get(n, none) for n in (system, 0)), key=lambda who: who[2])
-        return f"system {by}, component {component}" if now - at <= COMMAND_MEMORY else ""
+        no_command = (0, 0, -math.inf)
+        sender, component, at = max(
+            (self._commands.get(n, no_command) for n in (system, 0)), key=lambda command: command[2]
+        )
+        return f"system {sender}, component {component}" if now - at <= COMMAND_MEMORY else ""
 
     def on_message(self, message: Any) -> None:
         """Handles a message of another system."""
-        who = message.get_srcSystem(), message.get_srcComponent()
-        if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT or who in self._names:
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT or sender in self._names:
             return
         if len(self._names) < MAX_NEIGHBOURS:
             description = [_name("MAV_TYPE", message.type), STACKS.get(message.autopilot, "")]
-            self._names[who] = ", ".join(filter(None, description))
+            self._names[sender] = ", ".join(filter(None, description))
 
     def __str__(self) -> str:
         """`system 1, component 1 (quadrotor, ArduPilot)`, for each; '' without any."""

@@ -32,10 +32,10 @@ class Board(NamedTuple):
     firmware: tuple[int, ...]
 
     @classmethod
-    def of(cls, message: Any) -> Board:
+    def from_message(cls, message: Any) -> Board:
         """The board of uid2 and uid: PX4's simulators all have the same uid, ArduPilot has only uid2."""
-        long = bytes(message.uid2).rstrip(b"\0")
-        uid = long.hex() + (f"-{message.uid:x}" if message.uid else "") if long or message.uid else ""
+        uid2 = bytes(message.uid2).rstrip(b"\0")
+        uid = uid2.hex() + (f"-{message.uid:x}" if message.uid else "") if uid2 or message.uid else ""
         versions = (message.flight_sw_version, message.middleware_sw_version, message.os_sw_version)
         kinds = (message.board_version, message.vendor_id, message.product_id)
         return cls(uid, (*versions, *kinds, *message.flight_custom_version))
@@ -57,7 +57,7 @@ class SenderSeparator:
         """Whether a packet is the first vehicle's; meaningless with a single vehicle."""
         kind, number = message.get_msgId(), message.get_seq()
         if kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-            first = self._has_first_board(Board.of(message))
+            first = self._has_first_board(Board.from_message(message))
         elif kind in _TIMED and message.time_boot_ms:
             first = self._has_first_clock(kind, message.time_boot_ms / 1000.0 - now, now)
         else:
@@ -67,11 +67,11 @@ class SenderSeparator:
 
     def _follows_first(self, kind: int, number: int, now: float) -> bool:
         """Whether a packet soon follows, by its number, the previous one of the first vehicle."""
-        behind = self._behind(True, number)
+        behind = self._gap(True, number)
         if kind in _DECISIVE and now - self._clock_at <= SOON and NEAR < behind < 256:
             self._other_at = now
             return False
-        return behind <= self._behind(False, number)
+        return behind <= self._gap(False, number)
 
     def _has_first_board(self, board: Board) -> bool:
         self._board = self._board or board
@@ -90,7 +90,7 @@ class SenderSeparator:
         """Whether the clock of a second vehicle was received just now."""
         return max(now - self._clock_at, now - self._other_at) <= CONCURRENT_WITHIN
 
-    def _behind(self, strand: bool, number: int) -> int:
+    def _gap(self, strand: bool, number: int) -> int:
         return (number - self._last[strand] - 1) % 256 if strand in self._last else 256
 
 
@@ -98,18 +98,18 @@ class HeartbeatContradictions:
     """Whether alternating heartbeats indicate two vehicles."""
 
     def __init__(self) -> None:
-        self._said: tuple[int, ...] = ()
+        self._reported: tuple[int, ...] = ()
         self._former: tuple[int, ...] = ()
-        self._said_at = self._former_at = -math.inf
+        self._reported_at = self._former_at = -math.inf
         #: The time when a heartbeat last equalled the one before the previous one.
         self.contradicted = -math.inf
 
     def on_heartbeat(self, message: Any, now: float) -> None:
         """Handles a heartbeat: armed or not, and the type."""
         armed = message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED
-        said = (armed, message.autopilot, message.type)
-        if said != self._said:
-            if said == self._former and now - self._former_at <= CONTRADICTS:
+        report = (armed, message.autopilot, message.type)
+        if report != self._reported:
+            if report == self._former and now - self._former_at <= CONTRADICTS:
                 self.contradicted = now
-            self._former, self._former_at = self._said, self._said_at
-        self._said, self._said_at = said, now
+            self._former, self._former_at = self._reported, self._reported_at
+        self._reported, self._reported_at = report, now

@@ -29,7 +29,7 @@ CHECK_INTERVAL = 2.0
 class Signing:
     """The key of the links of one guard, and the streams of packets received on them.
 
-    Counts signatures: `good`, and `bad` (wrong, old or repeated).
+    `valid_count` and `invalid_count` count signatures; wrong, old and repeated ones are invalid.
     """
 
     def __init__(self, key: bytes, stamps: SigningTimestamps) -> None:
@@ -37,16 +37,16 @@ class Signing:
         # One table for all links, since a packet must not be replayed on another link. Only senders with the
         # key enter it, so it needs no bound.
         self._streams: dict[tuple[int, int, int], int] = {}
-        self.good = self.bad = 0
+        self.valid_count = self.invalid_count = 0
 
     def check(self, packet: bytes, system: int, component: int) -> bool:
         """Whether a signed packet has a valid signature and is new."""
-        sound = self._is_valid(packet, system, component)
-        if sound:
-            self.good += 1
+        is_valid = self._is_valid(packet, system, component)
+        if is_valid:
+            self.valid_count += 1
         else:
-            self.bad += 1
-        return sound
+            self.invalid_count += 1
+        return is_valid
 
     def _is_valid(self, packet: bytes, system: int, component: int) -> bool:
         expected = hashlib.sha256(self.key + packet[:-SIGNATURE]).digest()[:SIGNATURE]
@@ -101,9 +101,9 @@ class LinkSigning:
         signing.timestamp = self._signing.stamps.next()
 
     def _check(self, packet: bytearray, system: int, component: int) -> bool:
-        sound = self._signing.check(bytes(packet), system, component)
-        self._just_refused = not sound
-        return sound
+        is_valid = self._signing.check(bytes(packet), system, component)
+        self._just_refused = not is_valid
+        return is_valid
 
     def _accepts_unsigned(self, *_: object) -> bool:
         """Called by pymavlink for every packet that `_check` has not accepted, including refused ones."""

@@ -37,8 +37,8 @@ def load_key(path: Path) -> bytes:
         data = read_within(path, 4 * KEY)
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise _error(f"the signing key {path} cannot be read: {why}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise _error(f"the signing key {path} cannot be read: {reason}") from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise _error(f"the signing key {path} is open to others; run: chmod 600 {path}")
     key = data if len(data) == KEY else _from_hex(data)
@@ -125,12 +125,12 @@ class SigningTimestamps:
 
     def _write(self, timestamp: int) -> None:
         """Replaces the file atomically, on the disk before it is used."""
-        fresh = self._path.with_name(self._path.name + ".new")
-        with fresh.open("wb") as file:
+        new_file = self._path.with_name(self._path.name + ".new")
+        with new_file.open("wb") as file:
             file.write(b"%d\n" % timestamp)
             file.flush()
             os.fsync(file.fileno())
-        fresh.replace(self._path)
+        new_file.replace(self._path)
         self._written = timestamp
 
 

@@ -9,8 +9,8 @@ from typing import cast
 
 from lfield.driver.network import Attempts, Lookup, connected
 from lfield_mavlink.link.link_events import (
-    AGAIN,
-    ATTEMPT,
+    ATTEMPT_TIMEOUT,
+    RETRY_INTERVAL,
     LinkEvents,
     OnData,
     cannot_open,
@@ -46,9 +46,11 @@ class TcpLink:
 
     async def _connect(self) -> _Connection:
         """Connects to the first address of the host that answers. Raises OSError."""
-        made, where = await connected(self._lookup, ATTEMPT, lambda: _Connection(self._on_data))
-        made.where = where
-        return made
+        connection, address = await connected(
+            self._lookup, ATTEMPT_TIMEOUT, lambda: _Connection(self._on_data)
+        )
+        connection.address = address
+        return connection
 
     async def _run(self, connection: _Connection) -> None:
         """Reopens the connection whenever it is lost, until cancelled."""
@@ -68,9 +70,9 @@ class TcpLink:
                 connection = await self._connect()
             except OSError as error:
                 self._events.log(self._attempts.failed(reason_of(error), loop.time()))
-                await asyncio.sleep(AGAIN)
+                await asyncio.sleep(RETRY_INTERVAL)
                 continue
-            self._events.log(self._attempts.opened(f"connected to {connection.where}", loop.time()))
+            self._events.log(self._attempts.opened(f"connected to {connection.address}", loop.time()))
             self._events.reopened()
             return connection
 
@@ -83,7 +85,7 @@ class TcpLink:
         """Writes to the stream, which has one peer."""
         self.send(data)
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         """The text for a silent connection: closed by the peer, or connected without data."""
         if self._hung_up:
             return f"{self._name} closed the connection"
@@ -101,7 +103,7 @@ class TcpLink:
 
 
 class _Connection(asyncio.Protocol):
-    """One connection; `where` is the address of its peer."""
+    """One connection; `address` is that of its peer."""
 
     def __init__(self, on_data: OnData) -> None:
         self._on_data = on_data
@@ -110,7 +112,7 @@ class _Connection(asyncio.Protocol):
         self._reason = "the peer has closed the connection"
         self._last_received = asyncio.get_running_loop().time()
         self._has_received = False
-        self.where = ""
+        self.address = ""
 
     @property
     def is_lost(self) -> bool:
@@ -136,11 +138,11 @@ class _Connection(asyncio.Protocol):
         """Waits until the connection is closed, or SILENT seconds without data; returns the reason."""
         loop = asyncio.get_running_loop()
         while not self.is_lost:
-            left = self._last_received + SILENT - loop.time()
-            if left <= 0.0:
+            remaining = self._last_received + SILENT - loop.time()
+            if remaining <= 0.0:
                 return f"no data for {SILENT:g} s"
             with suppress(TimeoutError):
-                async with asyncio.timeout(left):
+                async with asyncio.timeout(remaining):
                     await self._lost.wait()
             if self._has_received:
                 attempts.works()

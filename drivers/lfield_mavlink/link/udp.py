@@ -9,8 +9,8 @@ from contextlib import suppress
 
 from lfield.driver.network import Address, Attempts, Lookup
 from lfield_mavlink.link.link_events import (
-    AGAIN,
-    ATTEMPT,
+    ATTEMPT_TIMEOUT,
+    RETRY_INTERVAL,
     LinkEvents,
     OnData,
     cannot_open,
@@ -40,32 +40,32 @@ class _Sockets:
         self._on_datagram, self._on_error = on_datagram, on_error
         self.open: list[socket.socket] = []
 
-    def add(self, opened: socket.socket) -> None:
+    def add(self, open_socket: socket.socket) -> None:
         """Reads from a socket from now on."""
-        self.open.append(opened)
-        asyncio.get_running_loop().add_reader(opened, self._receive, opened)
+        self.open.append(open_socket)
+        asyncio.get_running_loop().add_reader(open_socket, self._receive, open_socket)
 
-    def _receive(self, opened: socket.socket) -> None:
+    def _receive(self, open_socket: socket.socket) -> None:
         try:
-            data, peer = opened.recvfrom(LARGEST)
+            data, peer = open_socket.recvfrom(LARGEST)
         except OSError:
             self._on_error()
             return
-        self._on_datagram(opened, data, peer)
+        self._on_datagram(open_socket, data, peer)
 
-    def remove(self, opened: socket.socket) -> None:
+    def remove(self, open_socket: socket.socket) -> None:
         """Closes a socket."""
-        self.open.remove(opened)
-        asyncio.get_running_loop().remove_reader(opened)
-        opened.close()
+        self.open.remove(open_socket)
+        asyncio.get_running_loop().remove_reader(open_socket)
+        open_socket.close()
 
     def close(self) -> None:
-        for opened in tuple(self.open):
-            self.remove(opened)
+        for open_socket in tuple(self.open):
+            self.remove(open_socket)
 
 
-def _places(found: Iterable[tuple[int, Address]]) -> str:
-    return ", ".join(str(address[0]) for _, address in found)
+def _places(addresses: Iterable[tuple[int, Address]]) -> str:
+    return ", ".join(str(address[0]) for _, address in addresses)
 
 
 class UdpLink:
@@ -78,7 +78,7 @@ class UdpLink:
         self._attempts = Attempts(self._name)
         self._sockets = _Sockets(self._on_datagram, self._on_error)
         self._task: asyncio.Task[None] | None = None
-        self._at, self._has_received, self._turn = 0.0, False, 0
+        self._last_activity, self._has_received, self._address_index = 0.0, False, 0
         # Whether the peer's computer has reported a closed port.
         self._unreachable = False
 
@@ -92,40 +92,44 @@ class UdpLink:
 
     async def _connect(self) -> str:
         """Opens a socket to the next of its addresses and returns the address. Raises OSError."""
-        found = await self._lookup.addresses(ATTEMPT)
-        family, address = found[self._turn % len(found)]
-        self._turn += 1
-        opened = socket.socket(family, socket.SOCK_DGRAM)
+        addresses = await self._lookup.addresses(ATTEMPT_TIMEOUT)
+        family, address = addresses[self._address_index % len(addresses)]
+        self._address_index += 1
+        open_socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
-            opened.setblocking(False)
-            opened.connect(address)
+            open_socket.setblocking(False)
+            open_socket.connect(address)
         except OSError:
-            opened.close()
+            open_socket.close()
             raise
         self._sockets.close()
-        self._sockets.add(opened)
-        self._at = asyncio.get_running_loop().time()
+        self._sockets.add(open_socket)
+        self._last_activity = asyncio.get_running_loop().time()
         return str(address[0])
 
     async def _run(self) -> None:
         """Reconnects whenever nothing has arrived for a while, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
-            await asyncio.sleep(AGAIN)
-            if loop.time() - self._at < SILENT:
+            await asyncio.sleep(RETRY_INTERVAL)
+            if loop.time() - self._last_activity < SILENT:
                 continue
             if self._has_received:
                 self._events.log(self._attempts.lost(f"no data for {SILENT:g} s", loop.time()))
             try:
-                where = await self._connect()
+                address = await self._connect()
             except OSError as error:
                 self._events.log(self._attempts.failed(reason_of(error), loop.time()))
             else:
-                self._events.log(self._attempts.opened(f"it sends to {where}", loop.time()))
+                self._events.log(self._attempts.opened(f"it sends to {address}", loop.time()))
 
     def _on_datagram(self, _: socket.socket, data: bytes, __: Address) -> None:
         """Handles a packet from the vehicle."""
-        self._at, self._has_received, self._unreachable = asyncio.get_running_loop().time(), True, False
+        self._last_activity, self._has_received, self._unreachable = (
+            asyncio.get_running_loop().time(),
+            True,
+            False,
+        )
         # Keep an address that answers.
         self._attempts.works()
         self._on_data(data)
@@ -136,15 +140,15 @@ class UdpLink:
 
     def send(self, data: bytes) -> None:
         """Sends to the peer."""
-        for opened in self._sockets.open:
+        for open_socket in self._sockets.open:
             with suppress(OSError):
-                opened.send(data)
+                open_socket.send(data)
 
     def send_to(self, data: bytes, address: str) -> None:
         """Sends to the peer; there is only one."""
         self.send(data)
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         """The text for a silent peer; simulators do not listen on UDP, so it names the endpoint to use
         instead.
         """
@@ -176,15 +180,15 @@ class UdpListener:
         self._sockets = _Sockets(self._on_datagram, lambda: None)
         self._task: asyncio.Task[None] | None = None
         self._bound: dict[tuple[int, Address], socket.socket] = {}
-        #: Addresses of its name that could not be bound, retried every AGAIN s.
+        #: Addresses of its name that could not be bound, retried every RETRY_INTERVAL s.
         self._unbound: list[tuple[int, Address]] = []
-        self._at = 0.0
+        self._last_activity = 0.0
         self._peers: dict[str, tuple[socket.socket, Address]] = {}
 
     async def open(self) -> None:
         """Binds the sockets. Raises DeviceError."""
         try:
-            failure = self._bind(await self._lookup.addresses(ATTEMPT))
+            failure = self._bind(await self._lookup.addresses(ATTEMPT_TIMEOUT))
             if not self._bound:
                 raise failure or OSError("it has no address")
         except OSError as error:
@@ -196,69 +200,71 @@ class UdpListener:
             self._events.log(self._attempts.failed(reason_of(failure), now))
         self._task = asyncio.get_running_loop().create_task(self._run())
 
-    def _bind(self, found: list[tuple[int, Address]]) -> OSError | None:
+    def _bind(self, addresses: list[tuple[int, Address]]) -> OSError | None:
         """Binds a socket at each unbound address; returns the error, if any."""
         failures: dict[tuple[int, Address], OSError] = {}
-        for at in found:
-            if at in self._bound:
+        for address in addresses:
+            if address in self._bound:
                 continue
-            made = socket.socket(at[0], socket.SOCK_DGRAM)
+            bound_socket = socket.socket(address[0], socket.SOCK_DGRAM)
             try:
-                made.setblocking(False)
-                made.bind(at[1])
+                bound_socket.setblocking(False)
+                bound_socket.bind(address[1])
             except OSError as error:
-                made.close()
-                failures[at] = error
+                bound_socket.close()
+                failures[address] = error
             else:
-                self._bound[at] = made
-                self._sockets.add(made)
+                self._bound[address] = bound_socket
+                self._sockets.add(bound_socket)
         self._unbound = list(failures)
-        reasons = [f"{at[1][0]}: {reason_of(error)}" for at, error in failures.items()]
+        reasons = [f"{address[1][0]}: {reason_of(error)}" for address, error in failures.items()]
         return OSError("; ".join(reasons)) if reasons else None
 
-    def _unbind(self, found: list[tuple[int, Address]]) -> None:
+    def _unbind(self, addresses: list[tuple[int, Address]]) -> None:
         """Closes the sockets at addresses other than these."""
-        for at in self._bound.keys() - set(found):
-            gone = self._bound.pop(at)
-            self._sockets.remove(gone)
-            for address in [address for address, (opened, _) in self._peers.items() if opened is gone]:
-                del self._peers[address]
+        for address in self._bound.keys() - set(addresses):
+            bound_socket = self._bound.pop(address)
+            self._sockets.remove(bound_socket)
+            for peer in [
+                peer for peer, (open_socket, _) in self._peers.items() if open_socket is bound_socket
+            ]:
+                del self._peers[peer]
 
     async def _run(self) -> None:
         """Binds missing addresses; while nothing arrives, follows changes of the name's addresses."""
         loop = asyncio.get_running_loop()
         while True:
-            await asyncio.sleep(AGAIN)
-            before = set(self._bound)
+            await asyncio.sleep(RETRY_INTERVAL)
+            bound_before = set(self._bound)
             try:
-                if loop.time() - self._at >= SILENT or not self._bound:
-                    found = await self._lookup.addresses(ATTEMPT)
-                    if set(found) != before.union(self._unbound):
-                        places = _places(found)
+                if loop.time() - self._last_activity >= SILENT or not self._bound:
+                    addresses = await self._lookup.addresses(ATTEMPT_TIMEOUT)
+                    if set(addresses) != bound_before.union(self._unbound):
+                        places = _places(addresses)
                         self._events.log(self._attempts.lost(f"its address is {places} now", loop.time()))
-                    self._unbind(found)
+                    self._unbind(addresses)
                 else:
-                    found = self._unbound
-                failure = self._bind(found)
+                    addresses = self._unbound
+                failure = self._bind(addresses)
             except OSError as error:
                 failure = error
             if failure is not None:
                 self._events.log(self._attempts.failed(reason_of(failure), loop.time()))
-            if more := [at for at in self._bound if at not in before]:
-                self._events.log(self._attempts.opened(f"it listens at {_places(more)}", loop.time()))
+            if added := [address for address in self._bound if address not in bound_before]:
+                self._events.log(self._attempts.opened(f"it listens at {_places(added)}", loop.time()))
                 if failure is None:
                     self._attempts.works()
 
-    def _on_datagram(self, opened: socket.socket, data: bytes, peer: Address) -> None:
+    def _on_datagram(self, open_socket: socket.socket, data: bytes, peer: Address) -> None:
         """Handles a packet from a vehicle."""
-        self._at = asyncio.get_running_loop().time()
+        self._last_activity = asyncio.get_running_loop().time()
         if not self._unbound:
             self._attempts.works()
         # The newest is last; the one that was silent longest is removed.
         host, port = str(peer[0]), peer[1]
         address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._peers.pop(address, None)
-        self._peers[address] = (opened, peer)
+        self._peers[address] = (open_socket, peer)
         if len(self._peers) > PEERS:
             del self._peers[next(iter(self._peers))]
         self._events.sender(address)
@@ -272,11 +278,11 @@ class UdpListener:
     def send_to(self, data: bytes, address: str) -> None:
         """Sends to one peer while it is known."""
         if address in self._peers:
-            opened, peer = self._peers[address]
+            open_socket, peer = self._peers[address]
             with suppress(OSError):
-                opened.sendto(data, peer)
+                open_socket.sendto(data, peer)
 
-    def why_silent(self) -> str:
+    def silence_reason(self) -> str:
         """The text for a port at which no data was received."""
         return f"nothing received at {self._endpoint}; does the vehicle, simulator or router send there?"
 

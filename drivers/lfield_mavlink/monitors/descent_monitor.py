@@ -34,7 +34,7 @@ BRAKES = 1.0
 #: Tilt in radians, and its duration in seconds.
 TILTS, TILTS_FOR = math.radians(60.0), 0.4
 #: An impact: descent in m/s before it (or a share of the autopilot's own landing speed, and more), minimum
-#: deceleration in m/s2, and maximum height above home in metres; higher up the vehicle must be seen at rest.
+#: deceleration in m/s2, and maximum height above home in metres; above it, only rest confirms an impact.
 HITS, TOUCHES, HARDER, STOPS, LOW = 2.0, 1.15, 0.25, 6.0, 2.5
 #: Longest time between two samples for impacts and falls, in seconds.
 GAP = 1.0
@@ -95,23 +95,23 @@ class DescentMonitor:
         self._excess = 0.0
         # The minimum height of this motion (None before a sample), and the maximum reached.
         self._floor: float | None = None
-        self._top = -math.inf
+        self._highest = -math.inf
         self._last: tuple[float, float, float] | None = None
         # The times since which the vehicle descends too fast, is too low, tilts too far, and has recovered.
-        self._sinks_at = self._low_at = self._tilts_at = self._well_at = math.inf
+        self._sinks_at = self._low_at = self._tilts_at = self._recovering_at = math.inf
         self._tilt = 0.0
-        self._hit: Finding | None = None
-        self._stands_at = math.inf
+        self._pending_impact: Finding | None = None
+        self._impact_at = math.inf
         self._armed = self._aloft = False
         # The drop of the vehicle when its motors went off, until a landing is certain.
-        self._off_at = -math.inf
+        self._motors_off_at = -math.inf
 
     # -- expected motion --------------------------------------------------------------------------------
 
     def expect(self, expected: Expected) -> None:
         """Starts to monitor a motion with its expected heights."""
         if expected != self._expected:
-            self._expected, self._floor, self._top = expected, None, -math.inf
+            self._expected, self._floor, self._highest = expected, None, -math.inf
             self._sinks_at = self._low_at = math.inf
             self._excess = 0.0
 
@@ -130,59 +130,59 @@ class DescentMonitor:
     def clear(self) -> None:
         """Clears the findings after an inspection of the vehicle."""
         self.falling = self.crashed = ""
-        self._hit, self._disarms = None, 0
+        self._pending_impact, self._disarms = None, 0
 
     @property
-    def undecided(self) -> bool:
+    def is_undecided(self) -> bool:
         """Whether the motors seem to have gone off in the air and the result is not known yet.
 
         Also whether the autopilot has reported to disarm after a crash, and its heartbeat does not show that
         yet.
         """
-        return self._off_at > -math.inf or self._disarms > 0
+        return self._motors_off_at > -math.inf or self._disarms > 0
 
     # -- telemetry --------------------------------------------------------------------------------------
 
     def on_armed(self, armed: bool, *, landed: bool | None, now: float) -> Finding | None:
         """Handles the arming state and a reported landing."""
-        before, self._armed = self._armed, armed
+        was_armed, self._armed = self._armed, armed
         self._disarms = max(0, self._disarms - 1) if armed else 0
         if armed:
             self._aloft = landed is False or (self._aloft and landed is None)
             if self._aloft:
-                self._off_at = -math.inf
-        elif before and self._aloft:
+                self._motors_off_at = -math.inf
+        elif was_armed and self._aloft:
             # ArduPilot reports a landing whenever its motors are off: only a drop distinguishes a fall.
-            self._aloft, self._off_at = False, now
+            self._aloft, self._motors_off_at = False, now
         if not self._aloft:
             # A vehicle at rest does not fall.
             self.falling = self.crashed
-        if not armed and now - self._off_at > RECOVERS + GAP:
-            self._off_at = -math.inf
-        return self._stood(landed, now)
+        if not armed and now - self._motors_off_at > RECOVERS + GAP:
+            self._motors_off_at = -math.inf
+        return self._confirmed_impact(landed, now)
 
-    def on_motion(self, height: float, sink: float, now: float, *, judged: bool) -> Finding | None:
-        """Handles a sample: metres above home, m/s downwards; `judged`: the motion is the program's."""
+    def on_motion(self, height: float, sink: float, now: float, *, is_ours: bool) -> Finding | None:
+        """Handles a sample: metres above home, m/s downwards; `is_ours`: this program commands the motion."""
         last, self._last = self._last, (now, height, sink)
-        found = self._dropped(height, sink) or self._impact(last, height, sink, now)
-        if found is not None or not (judged and self._armed and self._aloft):
+        finding = self._drop(height, sink) or self._impact(last, height, sink, now)
+        if finding is not None or not (is_ours and self._armed and self._aloft):
             self._sinks_at = self._low_at = math.inf
-            return found
+            return finding
         self._check_height_jump(last, height, sink, now)
         self._move_floor(height, sink)
-        self._add_up(height, sink, now, 0.0 if last is None else now - last[0])
-        fast, low = self._why_falling(height, sink, now), self._why_low(height, sink)
-        self._sinks_at = min(self._sinks_at, now) if fast else math.inf
-        self._low_at = min(self._low_at, now) if low else math.inf
-        if not (fast or low):
+        self._integrate_excess(height, sink, now, 0.0 if last is None else now - last[0])
+        fall_reason, low_reason = self._fall_reason(height, sink, now), self._low_reason(height, sink)
+        self._sinks_at = min(self._sinks_at, now) if fall_reason else math.inf
+        self._low_at = min(self._low_at, now) if low_reason else math.inf
+        if not (fall_reason or low_reason):
             self._recover(sink, now)
             return None
-        self._well_at = math.inf
+        self._recovering_at = math.inf
         if now - self._sinks_at >= LASTS:
-            return self._falls(fast)
-        return self._falls(low) if now - self._low_at >= LASTS_LOW else None
+            return self._falls(fall_reason)
+        return self._falls(low_reason) if now - self._low_at >= LASTS_LOW else None
 
-    def on_attitude(self, roll: float, pitch: float, now: float, *, judged: bool) -> Finding | None:
+    def on_attitude(self, roll: float, pitch: float, now: float, *, is_ours: bool) -> Finding | None:
         """Handles a sample of the attitude, in radians."""
         self._tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
         if not self._armed or self._tilt < TILTS:
@@ -195,11 +195,11 @@ class DescentMonitor:
         last = self._last
         if last is not None and last[1] <= LOW and abs(last[2]) < 0.5:
             return self._crash(f"{description} on the ground, with its motors on")
-        return self._falls(description) if judged else None
+        return self._falls(description) if is_ours else None
 
     def on_text(self, text: str) -> Finding | None:
         """Handles a text of the autopilot."""
-        if not self._armed and not self._off_at > -math.inf:
+        if not self._armed and not self._motors_off_at > -math.inf:
             return None
         if _CRASHES.search(text):
             self._disarms = SHOWN if self._armed and "disarm" in text.lower() else 0
@@ -225,7 +225,7 @@ class DescentMonitor:
             return
         sunk = 0.5 * (last[2] + sink) * (now - last[0])
         if abs(last[1] - sunk - height) > JUMPS:
-            self._floor, self._top = None, -math.inf
+            self._floor, self._highest = None, -math.inf
 
     def _move_floor(self, height: float, sink: float) -> None:
         """Raises the floor of a climb with the vehicle up to its goal; an initial descent may be braked."""
@@ -234,10 +234,10 @@ class DescentMonitor:
             return
         if self._floor is None:
             self._floor = height - max(0.0, sink) ** 2 / (2.0 * BRAKES)
-        self._top = max(self._top, height)
-        self._floor = min(goal, max(self._floor, self._top if sink < SINKS else self._floor))
+        self._highest = max(self._highest, height)
+        self._floor = min(goal, max(self._floor, self._highest if sink < SINKS else self._floor))
 
-    def _may_sink(self, height: float, now: float) -> float:
+    def _permitted_descent(self, height: float, now: float) -> float:
         """The permitted descent in m/s."""
         if self._expected.by_velocity:
             return DESCENDS * max(
@@ -247,20 +247,20 @@ class DescentMonitor:
         leads_down = goal is None or goal < height - LOST or self._floor is None or self._floor < goal - LOST
         return DESCENDS * self._descends if leads_down else math.inf
 
-    def _add_up(self, height: float, sink: float, now: float, took: float) -> None:
+    def _integrate_excess(self, height: float, sink: float, now: float, elapsed: float) -> None:
         """Integrates the excessive descent, which is a fall if it continues."""
-        may = self._may_sink(height, now) + (BIAS if self._expected.by_velocity else 0.0)
-        self._excess = max(0.0, self._excess + (sink - may) * min(took, GAP))
+        permitted = self._permitted_descent(height, now) + (BIAS if self._expected.by_velocity else 0.0)
+        self._excess = max(0.0, self._excess + (sink - permitted) * min(elapsed, GAP))
 
-    def _why_falling(self, height: float, sink: float, now: float) -> str:
-        commanded = max((each for at, each in self._commanded if at >= now - COMMANDED), default=0.0)
-        more = SINKS if self._expected.by_velocity else MORE
-        beyond = self._excess > BEYOND and sink > self._may_sink(height, now) + more
-        if beyond or sink > max(self._fastest, SHARE * commanded + MORE):
+    def _fall_reason(self, height: float, sink: float, now: float) -> str:
+        commanded = max((speed for at, speed in self._commanded if at >= now - COMMANDED), default=0.0)
+        margin = SINKS if self._expected.by_velocity else MORE
+        is_excessive = self._excess > BEYOND and sink > self._permitted_descent(height, now) + margin
+        if is_excessive or sink > max(self._fastest, SHARE * commanded + MORE):
             return f"it sinks at {sink:.1f} m/s, {height:.1f} m above home"
-        return self._why_low(height, sink) if sink > SINKS else ""
+        return self._low_reason(height, sink) if sink > SINKS else ""
 
-    def _why_low(self, height: float, sink: float) -> str:
+    def _low_reason(self, height: float, sink: float) -> str:
         """The reason why the vehicle is too low and does not climb, at any speed; '' if it is not."""
         if sink < -CLIMBS:
             return ""
@@ -271,17 +271,17 @@ class DescentMonitor:
 
     def _recover(self, sink: float, now: float) -> None:
         if not self.falling or sink > SINKS / 2.0 or self._tilt >= TILTS:
-            self._well_at = math.inf
+            self._recovering_at = math.inf
             return
-        self._well_at = min(self._well_at, now)
-        if now - self._well_at >= RECOVERS:
+        self._recovering_at = min(self._recovering_at, now)
+        if now - self._recovering_at >= RECOVERS:
             self.falling = ""
 
-    def _dropped(self, height: float, sink: float) -> Finding | None:
+    def _drop(self, height: float, sink: float) -> Finding | None:
         """The crash of a vehicle that falls because its motors went off in the air, if any."""
-        if self._off_at == -math.inf or sink < DROPS:
+        if self._motors_off_at == -math.inf or sink < DROPS:
             return None
-        self._off_at = -math.inf
+        self._motors_off_at = -math.inf
         return self._crash(f"its motors went off in the air, {height:.1f} m above home, and it fell")
 
     def _impact(
@@ -290,36 +290,36 @@ class DescentMonitor:
         """Whether a descent ended more abruptly than by braking."""
         if last is None:
             return None
-        at, was, fell = last
-        took = now - at
-        hits = max(HITS, TOUCHES * self._lands + HARDER)
-        if not 0.0 < took <= GAP or fell < hits or sink > fell / 2.0:
+        at, last_height, last_sink = last
+        elapsed = now - at
+        impact_speed = max(HITS, TOUCHES * self._lands + HARDER)
+        if not 0.0 < elapsed <= GAP or last_sink < impact_speed or sink > last_sink / 2.0:
             return None
-        needed = fell**2 / (2.0 * max(was, 0.05)) if was <= LOW else 0.0
-        if max((fell - sink) / took, needed) < STOPS:
+        stop_deceleration = last_sink**2 / (2.0 * max(last_height, 0.05)) if last_height <= LOW else 0.0
+        if max((last_sink - sink) / elapsed, stop_deceleration) < STOPS:
             return None
-        description = f"it hit the ground at {fell:.1f} m/s"
+        description = f"it hit the ground at {last_sink:.1f} m/s"
         if height <= LOW:
             return self._crash(description)
         # The vehicle may be on a hill, or have braked: wait until it is at rest.
-        self._hit, self._stands_at = Finding(description, crashed=True), now
+        self._pending_impact, self._impact_at = Finding(description, crashed=True), now
         return None
 
-    def _stood(self, landed: bool | None, now: float) -> Finding | None:
-        hit = self._hit
-        if hit is None:
+    def _confirmed_impact(self, landed: bool | None, now: float) -> Finding | None:
+        impact = self._pending_impact
+        if impact is None:
             return None
-        if now - self._stands_at > 3.0 * RECOVERS:
-            self._hit = None
+        if now - self._impact_at > 3.0 * RECOVERS:
+            self._pending_impact = None
         elif (landed or not self._armed) and self._last is not None and abs(self._last[2]) < 0.5:
-            self._hit = None
-            return self._crash(hit.text)
+            self._pending_impact = None
+            return self._crash(impact.text)
         return None
 
     def _falls(self, text: str) -> Finding | None:
         if self.falling or self.crashed:
             return None
-        self.falling, self._well_at = text, math.inf
+        self.falling, self._recovering_at = text, math.inf
         return Finding(text)
 
     def _crash(self, text: str) -> Finding | None:

@@ -24,7 +24,7 @@ from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, POSITION_AND_YAW,
 #: Seconds until the result for a vehicle whose motors went off in the air is known.
 SETTLES = 2.5
 #: Seconds after which a second receiver is queried again while the first has no fix.
-AGAIN = 0.4
+GPS_RETRY_INTERVAL = 0.4
 #: Seconds until the descent speeds are read, and until they are read again.
 FIRST_READ_DELAY, REREAD_INTERVAL = 2.0, 60.0
 #: Instructions that are allowed during a fall.
@@ -109,7 +109,7 @@ class FlightMonitor:
     @property
     def lost_position(self) -> str:
         """The reason of a lost position, '' while it is known or the vehicle is at rest."""
-        return self._position.lost(self._now) if self._state.armed and self._is_judged_by_place else ""
+        return self._position.lost(self._now) if self._state.armed and self._is_position_monitored else ""
 
     @property
     def is_blind(self) -> bool:
@@ -121,44 +121,44 @@ class FlightMonitor:
         """Another station that has just commanded the vehicle, to explain a foreign mode; '' for none."""
         return f", commanded by {others}" if (others := self.others()) else ""
 
-    def check_start(self, what: str) -> None:
+    def check_start(self, action: str) -> None:
         """Raises DeviceError when a motion must not start, or needs a position that is lost."""
         if self.crashed:
             raise self._vehicle.error(
-                f"{what} refused: {self.crashed}. Inspect it; then run 'lfield estop --lift' and call "
+                f"{action} refused: {self.crashed}. Inspect it; then run 'lfield estop --lift' and call "
                 "release()"
             )
-        if (lost := self.lost_position) and self._needs_position(what):
-            raise self._vehicle.error(f"{what} refused: {lost}; {self._needs_none} needs no position")
-        if self.falling and not what.startswith(STOPS):
-            raise self._vehicle.error(f"{what} refused: {self.falling}")
+        if (reason := self.lost_position) and self._needs_position(action):
+            raise self._vehicle.error(f"{action} refused: {reason}; {self._needs_none} needs no position")
+        if self.falling and not action.startswith(STOPS):
+            raise self._vehicle.error(f"{action} refused: {self.falling}")
         self._course.start(None)
 
-    async def check(self, what: str, order: Order, left: float) -> None:
-        """Raises DeviceError when a running motion, `left` metres from its goal, must end."""
+    async def check(self, action: str, order: Order, remaining: float) -> None:
+        """Raises DeviceError when a running motion, `remaining` metres from its goal, must end."""
         await self.settle()
         descent = self._descent
         if descent.falling:
-            raise self._vehicle.error(f"{what} ended early: {descent.falling}")
-        if (lost := self.lost_position) and self._needs_position(what):
-            raise self._vehicle.error(f"{what} ended early: {lost}; {self._needs_none} needs no position")
+            raise self._vehicle.error(f"{action} ended early: {descent.falling}")
+        if (reason := self.lost_position) and self._needs_position(action):
+            raise self._vehicle.error(f"{action} ended early: {reason}; {self._needs_none} needs no position")
         if self.foreign:
-            raise self._vehicle.error(f"{what} ended early: {self.foreign}; release() takes control again")
+            raise self._vehicle.error(f"{action} ended early: {self.foreign}; release() takes control again")
         if order.has_destination and self._course.leaves:
-            deviation = f"{left:.1f} m from its goal it moves elsewhere, at {self._course.leaves:.1f} m/s"
+            text = f"{remaining:.1f} m from its goal it moves elsewhere, at {self._course.leaves:.1f} m/s"
             if others := self.others():
-                self._take_over(f"{deviation}: {others}")
-            raise self._vehicle.error(f"{what} ended early: {self.foreign or deviation}")
+                self._on_takeover(f"{text}: {others}")
+            raise self._vehicle.error(f"{action} ended early: {self.foreign or text}")
 
-    async def check_landed(self, what: str) -> None:
+    async def check_landed(self, action: str) -> None:
         """Raises DeviceError when a landing was a crash."""
         await self.settle()
         if self.crashed:
-            raise self._vehicle.error(f"{what} ended early: {self.crashed}")
+            raise self._vehicle.error(f"{action} ended early: {self.crashed}")
 
     async def settle(self) -> None:
         """Waits for the result if the motors went off in the air."""
-        await self._vehicle.wait_for(lambda: not self._descent.undecided, SETTLES)
+        await self._vehicle.wait_for(lambda: not self._descent.is_undecided, SETTLES)
 
     def safe_mode(self, state: str) -> str:
         """The mode for a safe state: without a position only a landing, for a rover a stop."""
@@ -166,10 +166,10 @@ class FlightMonitor:
         lands = self.lost_position and profile.kind in ("copter", "rover")
         return profile.land if lands else profile.safe(state)
 
-    def _needs_position(self, what: str) -> bool:
+    def _needs_position(self, action: str) -> bool:
         profile = self._vehicle.profile
-        mode = profile.hold if what == "hold" else what.removeprefix("mode ")
-        return not (what.startswith(NEEDS_NONE) or mode in BLIND_MODES)
+        mode = profile.hold if action == "hold" else action.removeprefix("mode ")
+        return not (action.startswith(NEEDS_NONE) or mode in BLIND_MODES)
 
     @property
     def _needs_none(self) -> str:
@@ -186,7 +186,7 @@ class FlightMonitor:
             return
         self._expect(Expected(math.inf if order.goal is None else -order.goal[2]))
         if order.command is not None and order.command.place is not None and order.goal is not None:
-            self._sent(order.goal)
+            self._on_sent_place(order.goal)
 
     def on_mode(self, mode: str) -> None:
         """Records that a mode without targets of this program is commanded."""
@@ -199,7 +199,7 @@ class FlightMonitor:
         """Records a sent setpoint."""
         if target.mask in (ONLY_POSITION, POSITION_AND_YAW):
             self._modes |= {self._vehicle.profile.guided}
-            self._sent(target.place)
+            self._on_sent_place(target.place)
             return
         self._target.on_velocity(target.velocity, self._now)
         self._descent.on_velocity(target.velocity[2], self._now)
@@ -217,26 +217,26 @@ class FlightMonitor:
     async def run(self) -> None:
         """Reads the autopilot's descent speeds periodically, until cancelled."""
         await asyncio.sleep(FIRST_READ_DELAY)
-        which = self._state.autopilot, self._state.kind
-        descents, landings = list(DESCENTS.get(which, ())), list(LANDINGS.get(which, ()))
+        vehicle_type = self._state.autopilot, self._state.kind
+        descents, landings = list(DESCENTS.get(vehicle_type, ())), list(LANDINGS.get(vehicle_type, ()))
         while descents or landings:
-            descends, lands = await self._fastest(descents), await self._fastest(landings)
+            descends, lands = await self._greatest_speed(descents), await self._greatest_speed(landings)
             self._descent.may_descend(descends, lands)
             await asyncio.sleep(REREAD_INTERVAL)
 
-    async def _fastest(self, asked: list[Mapping[str, float]]) -> float:
+    async def _greatest_speed(self, name_groups: list[Mapping[str, float]]) -> float:
         """The greatest of some speeds in m/s; missing parameters are not requested again."""
-        speeds = [0.0]
-        for names in list(asked):
-            if self._vehicle.lost or self._vehicle.quiet:
+        values = [0.0]
+        for names in list(name_groups):
+            if self._vehicle.lost or self._vehicle.is_quiet:
                 continue
             with suppress(DeviceError):
                 name, value = await self._parameters.read_any(names)
                 if value is None:
-                    asked.remove(names)
+                    name_groups.remove(names)
                 elif math.isfinite(value):
-                    speeds.append(value / names[name])
-        return max(speeds)
+                    values.append(value / names[name])
+        return max(values)
 
     # -- messages -----------------------------------------------------------------------------------------
 
@@ -254,9 +254,9 @@ class FlightMonitor:
         if target := self._target.on_guided(self._now):
             others = self.others()
             reason = f"another station has sent it elsewhere, {target}"
-            self._take_over(f"{reason}: {others}" if others else reason)
+            self._on_takeover(f"{reason}: {others}" if others else reason)
 
-    def _take_over(self, reason: str) -> None:
+    def _on_takeover(self, reason: str) -> None:
         self.foreign = reason
         self._vehicle.note(log_messages.FOREIGN_CONTROL.line(reason=reason))
 
@@ -265,15 +265,15 @@ class FlightMonitor:
         self._check_clock(message.time_boot_ms)
         if state.height is None or not math.isfinite(message.vz):
             return
-        found = self._descent.on_motion(state.height, message.vz, self._now, judged=self._is_judged)
-        self._on_finding(found)
+        finding = self._descent.on_motion(state.height, message.vz, self._now, is_ours=self._is_height_ours)
+        self._on_finding(finding)
         if state.position is not None:
             self._course.on_motion(state.position, state.velocity, self._now)
 
     def _on_attitude(self, message: Any) -> None:
-        if math.isfinite(message.roll) and math.isfinite(message.pitch):
-            found = self._descent.on_attitude(message.roll, message.pitch, self._now, judged=self._is_judged)
-            self._on_finding(found)
+        roll, pitch = message.roll, message.pitch
+        if math.isfinite(roll) and math.isfinite(pitch):
+            self._on_finding(self._descent.on_attitude(roll, pitch, self._now, is_ours=self._is_height_ours))
 
     def _on_text(self, message: Any) -> None:
         now = self._now
@@ -289,8 +289,8 @@ class FlightMonitor:
 
     def _on_gps(self, message: Any) -> None:
         self._position.on_fix(0, message.fix_type, self._now)
-        second = self._state.armed and message.fix_type < FIX and not self._vehicle.quiet
-        if second and self._now - self._second_at >= AGAIN:
+        second = self._state.armed and message.fix_type < FIX and not self._vehicle.is_quiet
+        if second and self._now - self._second_at >= GPS_RETRY_INTERVAL:
             # A second receiver does not report by itself.
             self._second_at = self._now
             self._vehicle.send(request_message(self._vehicle.system, dialect.MAVLINK_MSG_ID_GPS2_RAW))
@@ -310,10 +310,11 @@ class FlightMonitor:
             return
         place = Place(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
         if state.origin is not None:
-            north, east, down = state.origin.to(place, state.radius)
+            north, east, down = state.origin.vector_to(place, state.radius)
         elif state.home is not None:
             north, east, down = (
-                w + h for w, h in zip(state.home.to(place, state.radius), state.home_offset, strict=True)
+                w + h
+                for w, h in zip(state.home.vector_to(place, state.radius), state.home_offset, strict=True)
             )
         else:
             return
@@ -339,13 +340,13 @@ class FlightMonitor:
         """Handles the distance to the target; only ArduRovers were recorded to report 0 on a velocity."""
         state = self._state
         if state.kind == "rover" and state.position is not None:
-            here, speed = self._local(state.position), math.hypot(*state.velocity[:2])
-            self._target.on_reported_distance(message.wp_dist, here, speed, self._now)
+            position, speed = self._local(state.position), math.hypot(*state.velocity[:2])
+            self._target.on_reported_distance(message.wp_dist, position, speed, self._now)
 
     def _on_target_place(self, place: Vector) -> None:
         position = self._state.position
-        here = None if position is None else self._local(position)
-        self._target.on_reported_place(place, self._now, here, aloft=self._is_aloft)
+        local = None if position is None else self._local(position)
+        self._target.on_reported_place(place, self._now, local, aloft=self._is_aloft)
 
     # -- steps --------------------------------------------------------------------------------------------
 
@@ -367,33 +368,33 @@ class FlightMonitor:
         return self._flies and self._state.landed is False
 
     @property
-    def _is_judged(self) -> bool:
+    def _is_height_ours(self) -> bool:
         """Whether the vehicle is a copter whose height this program controls."""
         copter = self._state.profile is not None and self._state.profile.kind == "copter"
         return copter and self.is_ours()
 
     @property
-    def _is_judged_by_place(self) -> bool:
+    def _is_position_monitored(self) -> bool:
         """Whether the position is monitored; a submarine has no GNSS under water."""
         return self._state.kind != "submarine" and (not self._flies or self._state.landed is False)
 
     def _expect(self, expected: Expected) -> None:
         self._descent.expect(expected)
 
-    def _sent(self, place: Vector) -> None:
+    def _on_sent_place(self, place: Vector) -> None:
         local, state = self._local(place), self._state
-        rests = None if state.position is None else self._local(state.position)
-        self._target.on_place(local, self._now, rests)
+        stop_place = None if state.position is None else self._local(state.position)
+        self._target.on_place(local, self._now, stop_place)
 
     def _local(self, place: Vector) -> Vector:
         """A position relative to home, in the autopilot's local frame."""
         north, east, down = (p + h for p, h in zip(place, self._state.home_offset, strict=True))
         return north, east, down
 
-    def _on_finding(self, found: Finding | None) -> None:
-        if found is None:
+    def _on_finding(self, finding: Finding | None) -> None:
+        if finding is None:
             return
-        message = log_messages.CRASHED if found.crashed else log_messages.FALLING
-        self._vehicle.note(message.line(reason=found.text))
-        if found.crashed:
-            self._vehicle.lock_out(f"it crashed: {found.text}")
+        message = log_messages.CRASHED if finding.crashed else log_messages.FALLING
+        self._vehicle.note(message.line(reason=finding.text))
+        if finding.crashed:
+            self._vehicle.lock_out(f"it crashed: {finding.text}")

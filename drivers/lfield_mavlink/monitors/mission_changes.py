@@ -37,7 +37,7 @@ class MissionChanges:
         self._curved = False
         self._returns: Collection[int] = ()
 
-    def checked(self, *, curved: bool = False, returns: Collection[int] = ()) -> None:
+    def on_checked(self, *, curved: bool = False, returns: Collection[int] = ()) -> None:
         """Records the plans that were read and checked.
 
         `curved`: the path depends on its starting point; `returns`: the numbers of items that return, perhaps
@@ -47,11 +47,11 @@ class MissionChanges:
 
     def on_current(self, message: Any) -> bool:
         """Whether MISSION_CURRENT indicates another plan, or a curve from another starting point."""
-        before, self._number = self._number, message.seq
+        previous, self._number = self._number, message.seq
         plans, self._plans = self._plans, (message.total, *_ids_of(message))
-        depends = self._curved or message.seq + 1 in self._returns
-        jumps = message.seq < before or (depends and message.seq != before)
-        return jumps or (plans is not None and plans != self._plans)
+        depends_on_start = self._curved or message.seq + 1 in self._returns
+        has_jumped = message.seq < previous or (depends_on_start and message.seq != previous)
+        return has_jumped or (plans is not None and plans != self._plans)
 
     def on_parameter(self, message: Any) -> bool:
         """Whether PARAM_VALUE is a counter that was sent unrequested, or by name."""
@@ -73,7 +73,7 @@ class MissionTarget:
     def __init__(self, radius: float, altitude: float) -> None:
         self._radius, self._altitude = radius, altitude
 
-    def beyond(self, message: Any, home: Place, *, flies: bool) -> str:
+    def excess(self, message: Any, home: Place, *, flies: bool) -> str:
         """The excess of POSITION_TARGET_GLOBAL_INT over the limits in words; '' within them.
 
         A rover has no heights; a position that is not finite is ignored.
@@ -81,10 +81,12 @@ class MissionTarget:
         place = Place.scaled(message.lat_int, message.lon_int, 0)
         if place is None or not (message.lat_int or message.lon_int):
             return ""
-        north, east, _ = home.to(place)
-        far, height = math.hypot(north, east), message.alt - home.altitude
-        if far > self._radius + NEAR:
-            return f"it flies to a position {far:.0f} m from home, beyond the limit of {self._radius:g} m"
+        north, east, _ = home.vector_to(place)
+        distance, height = math.hypot(north, east), message.alt - home.altitude
+        if distance > self._radius + NEAR:
+            return (
+                f"it flies to a position {distance:.0f} m from home, beyond the limit of {self._radius:g} m"
+            )
         if flies and height > self._altitude + LEVEL:
             return f"it flies to a height of {height:.0f} m, above the limit of {self._altitude:g} m"
         return ""

@@ -2,7 +2,7 @@
 
 An ArduCopter without GNSS continues for 8 s with unchanged mode, position and health; only the fix is gone
 (gauntlet-a). Its estimator reports it after 6 s (EKF_STATUS_REPORT), PX4's within 5 s (ESTIMATOR_STATUS). A
-vehicle that never had a fix navigates by other means and is not judged.
+vehicle that never had a fix navigates by other means and is not monitored.
 
 With two receivers the position is lost when neither has a fix: GPS_RAW_INT is the first, GPS2_RAW the second.
 A gap of a second is not a loss. Indoor or camera navigation reports no fix, or never a three-dimensional one:
@@ -42,9 +42,9 @@ class PositionMonitor:
 
     def on_estimate(self, flags: int) -> None:
         """Handles the flags of the estimator."""
-        knows = bool(flags & POSITION)
-        self._estimate_lost = self._estimated and not knows
-        self._estimated = self._estimated or knows
+        has_position = bool(flags & POSITION)
+        self._estimate_lost = self._estimated and not has_position
+        self._estimated = self._estimated or has_position
 
     def restart(self) -> None:
         """Discards earlier fixes when the autopilot restarted, or is on the ground."""
@@ -56,7 +56,7 @@ class PositionMonitor:
 
         Reports older than OLD seconds are ignored.
         """
-        fresh = [fix for fix, at in self._fixes.values() if now - at <= OLD]
-        if now - self._fixed_at >= LASTS and fresh and max(fresh) < FIX:
-            return f"its GNSS fix is lost (GPS_FIX_TYPE {max(fresh)})"
+        recent = [fix for fix, at in self._fixes.values() if now - at <= OLD]
+        if now - self._fixed_at >= LASTS and recent and max(recent) < FIX:
+            return f"its GNSS fix is lost (GPS_FIX_TYPE {max(recent)})"
         return "its estimator has lost the position" if self._estimate_lost else ""

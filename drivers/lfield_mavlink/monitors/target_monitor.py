@@ -47,7 +47,7 @@ class TargetMonitor:
         self._earlier: list[tuple[float, Vector]] = []
         self._started_at = math.inf
         # The stopping place of a vehicle that has accepted no position yet, and the end of reports of it.
-        self._rests: tuple[Vector, float] | None = None
+        self._stop_place: tuple[Vector, float] | None = None
         # The time of the newest sent position that the vehicle is known to have followed.
         self._followed = -math.inf
         self._is_confirmed = self._by_velocity = False
@@ -65,8 +65,8 @@ class TargetMonitor:
         self._started_at, self._followed, self._is_confirmed, self._by_velocity = now, -math.inf, False, False
         self._foreign = self._stops_at = self._reported = None
         self._undefined_at = -math.inf
-        if self._rests is not None:
-            self._rests = self._rests[0], min(self._rests[1], now + LATE)
+        if self._stop_place is not None:
+            self._stop_place = self._stop_place[0], min(self._stop_place[1], now + LATE)
 
     def on_place(self, place: Vector, now: float, rests_at: Vector | None) -> None:
         """Records a sent position; `rests_at` is the stopping place of a vehicle that has not accepted one
@@ -77,7 +77,7 @@ class TargetMonitor:
         if not self._places:
             self._started_at = now
             if rests_at is not None:
-                self._rests = rests_at, math.inf
+                self._stop_place = rests_at, math.inf
         if self._places and self._places[-1][1] == place:
             self._places.pop()
         self._places.append((now, place))
@@ -93,14 +93,14 @@ class TargetMonitor:
         while self._velocities[0][0] < now - LATE:
             self._velocities.popleft()
 
-    def on_reported_place(self, place: Vector, now: float, here: Vector | None, *, aloft: bool) -> None:
+    def on_reported_place(self, place: Vector, now: float, position: Vector | None, *, aloft: bool) -> None:
         """Handles a target that the autopilot reports; a height of NaN is not reported.
 
-        `here` is the vehicle's position, `aloft` whether it flies: on the ground it may report an old target.
+        `position` is the vehicle's, `aloft` whether it flies: on the ground it may report an old target.
         """
-        if (sent := self._sent_at(place, now)) is not None:
-            self._followed = max(self._followed, sent)
-            self._reported = place if math.isfinite(sent) else self._reported
+        if (sent_at := self._time_of(place, now)) is not None:
+            self._followed = max(self._followed, sent_at)
+            self._reported = place if math.isfinite(sent_at) else self._reported
             # The autopilot does not report an ignored goal: only the last goal shows that goals are followed.
             self._is_confirmed = self._is_confirmed or (
                 bool(self._places) and self._is_near(place, self._places[-1][1])
@@ -109,26 +109,28 @@ class TargetMonitor:
         is_initial = now - self._started_at <= FIRST_TARGET_TIMEOUT
         if self._places:
             if self._is_confirmed or not is_initial:
-                self._find(now, f"{self._left(place):.0f} m from its goal")
-        elif here is not None and (aloft or self._by_velocity):
-            far = math.dist(place[:2], here[:2])
-            if far > HERE or (self._by_velocity and not is_initial):
-                self._find(now, f"to a place {far:.0f} m away")
+                self._report(now, f"{self._distance(place):.0f} m from its goal")
+        elif position is not None and (aloft or self._by_velocity):
+            distance = math.dist(place[:2], position[:2])
+            if distance > HERE or (self._by_velocity and not is_initial):
+                self._report(now, f"to a place {distance:.0f} m away")
 
-    def on_reported_distance(self, distance: float, here: Vector | None, speed: float, now: float) -> None:
+    def on_reported_distance(
+        self, distance: float, position: Vector | None, speed: float, now: float
+    ) -> None:
         """Handles the distance in metres to its target that a rover reports, 0 without one.
 
         A second 0 within LATE seconds is foreign if it is far from the last reported position of this motion.
         """
         reported = self._reported
-        if distance > 0.0 or here is None or reported is None:
+        if distance > 0.0 or position is None or reported is None:
             return
-        left = math.dist(here[:2], reported[:2])
-        late = any(now <= until and self._is_near(reported, place) for until, place in self._earlier)
-        if late or left < ARRIVES + speed**2 / 2.0:
+        remaining = math.dist(position[:2], reported[:2])
+        is_late = any(now <= until and self._is_near(reported, place) for until, place in self._earlier)
+        if is_late or remaining < ARRIVES + speed**2 / 2.0:
             return
         if now - self._undefined_at <= LATE:
-            self._find(now, f"to no place, {left:.0f} m before its goal")
+            self._report(now, f"to no place, {remaining:.0f} m before its goal")
         self._undefined_at = now
 
     def on_reported_velocity(self, velocity: Vector, now: float) -> None:
@@ -137,12 +139,12 @@ class TargetMonitor:
         if self._was_sent(velocity, now):
             self._stops_at = None
         elif math.hypot(*velocity) > SAME:
-            self._find(now, description)
+            self._report(now, description)
         elif self._places and self._is_confirmed:
             # The vehicle stops instead of continuing; once is its own behaviour when it enters the mode.
             self._stops_at = now if self._stops_at is None else self._stops_at
             if now - self._stops_at > FIRST_TARGET_TIMEOUT:
-                self._find(now, description)
+                self._report(now, description)
 
     def on_guided(self, now: float) -> str:
         """The difference in words of the reported target from the sent one, in the mode for setpoints.
@@ -152,16 +154,16 @@ class TargetMonitor:
         """
         return "" if self._foreign is None or now <= self._foreign[0] else self._foreign[1]
 
-    def _find(self, now: float, reason: str) -> None:
+    def _report(self, now: float, reason: str) -> None:
         if self._foreign is None:
             self._foreign = now, reason
 
-    def _left(self, place: Vector) -> float:
+    def _distance(self, place: Vector) -> float:
         goal = self._places[-1][1]
         level = self._level and math.isfinite(place[2])
         return math.dist(place, goal) if level else math.dist(place[:2], goal[:2])
 
-    def _sent_at(self, place: Vector, now: float) -> float | None:
+    def _time_of(self, place: Vector, now: float) -> float | None:
         """The time when a position was last sent, minus infinity before this motion; None if it was not
         sent.
         """
@@ -175,18 +177,20 @@ class TargetMonitor:
         return -math.inf if any(self._is_near(place, sent) for sent in earlier) else None
 
     def _is_near(self, place: Vector, sent: Vector) -> bool:
-        near = NEAR + FAR * math.hypot(*sent[:2])
-        return math.dist(place[:2], sent[:2]) <= near and self._is_level(place, sent, LEVEL)
+        tolerance = NEAR + FAR * math.hypot(*sent[:2])
+        return math.dist(place[:2], sent[:2]) <= tolerance and self._is_level(place, sent, LEVEL)
 
     def _is_at_rest(self, place: Vector, now: float) -> bool:
-        if self._is_confirmed or self._rests is None or now > self._rests[1]:
+        if self._is_confirmed or self._stop_place is None or now > self._stop_place[1]:
             return False
-        rests = self._rests[0]
-        return math.dist(place[:2], rests[:2]) <= RESTS and self._is_level(place, rests, RESTS_LEVEL)
+        stop_place = self._stop_place[0]
+        return math.dist(place[:2], stop_place[:2]) <= RESTS and self._is_level(
+            place, stop_place, RESTS_LEVEL
+        )
 
-    def _is_level(self, place: Vector, sent: Vector, apart: float) -> bool:
+    def _is_level(self, place: Vector, sent: Vector, tolerance: float) -> bool:
         level = self._level and math.isfinite(place[2])
-        return not level or abs(place[2] - sent[2]) <= apart
+        return not level or abs(place[2] - sent[2]) <= tolerance
 
     def _was_sent(self, velocity: Vector, now: float) -> bool:
         """Whether a velocity is one of the last seconds, or the present one, limited by the autopilot."""
@@ -197,12 +201,14 @@ class TargetMonitor:
 
 def _is_bounded(velocity: Vector, sent: Vector) -> bool:
     """Whether a velocity is another one, or a slower one in its direction; it may climb more slowly."""
-    fast = math.hypot(*sent[:2])
-    along = sum(v * s for v, s in zip(velocity[:2], sent[:2], strict=True)) / fast if fast else 0.0
-    share = min(1.0, max(0.0, along / fast)) if fast else 0.0
-    off = math.dist(velocity[:2], (share * sent[0], share * sent[1]))
+    sent_speed = math.hypot(*sent[:2])
+    along = (
+        sum(v * s for v, s in zip(velocity[:2], sent[:2], strict=True)) / sent_speed if sent_speed else 0.0
+    )
+    share = min(1.0, max(0.0, along / sent_speed)) if sent_speed else 0.0
+    deviation = math.dist(velocity[:2], (share * sent[0], share * sent[1]))
     low, high = sorted((0.0, sent[2]))
-    return off <= SAME and low - SAME <= velocity[2] <= high + SAME
+    return deviation <= SAME and low - SAME <= velocity[2] <= high + SAME
 
 
 class CourseMonitor:
@@ -231,15 +237,15 @@ class CourseMonitor:
         """Handles a sample of the motion."""
         if self._goal is None:
             return
-        way = (self._goal[0] - place[0], self._goal[1] - place[1])
-        left, speed = math.hypot(*way), math.hypot(*velocity[:2])
-        if speed < self.SPEED or left < self.NEAR + speed**2 / 2.0:
+        offset = (self._goal[0] - place[0], self._goal[1] - place[1])
+        distance, speed = math.hypot(*offset), math.hypot(*velocity[:2])
+        if speed < self.SPEED or distance < self.NEAR + speed**2 / 2.0:
             self._off_at, self.leaves = math.inf, 0.0
             return
-        cosine = (way[0] * velocity[0] + way[1] * velocity[1]) / (left * speed)
-        off = math.acos(min(1.0, max(-1.0, cosine)))
-        self._was_towards = self._was_towards or off < self.TOWARDS
-        if not self._was_towards or off < self.OFF:
+        cosine = (offset[0] * velocity[0] + offset[1] * velocity[1]) / (distance * speed)
+        deviation = math.acos(min(1.0, max(-1.0, cosine)))
+        self._was_towards = self._was_towards or deviation < self.TOWARDS
+        if not self._was_towards or deviation < self.OFF:
             self._off_at, self.leaves = math.inf, 0.0
             return
         self._off_at = min(self._off_at, now)

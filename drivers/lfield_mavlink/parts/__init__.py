@@ -1,1 +1,1 @@
-"""Instructions of a vehicle by topic: the `do_...` coroutines of its manifest, and what they share."""
+"""Instructions of a vehicle by topic: the `do_...` coroutines of its manifest, and their common parts."""

@@ -18,7 +18,7 @@ from lfield_mavlink.contact.contact import REASON_TIMEOUT, Contact
 from lfield_mavlink.link.dialect import dialect
 
 #: Seconds in which the mode of a failsafe appears after its text; one packet may be lost.
-LED = 0.8
+MODE_DELAY = 0.8
 #: Seconds after a release in which texts still belong to the released failsafe: PX4's heartbeat comes once a
 #: second.
 LATE = 1.5
@@ -43,10 +43,10 @@ class Failsafe:
         #: Whether the failsafe has control, until it is released or another mode is commanded.
         self.is_engaged = False
         # The times when the failsafe was detected and last released, and its state.
-        self._noticed_at = self._released_at = -math.inf
+        self._detected_at = self._released_at = -math.inf
         self._was_critical, self._overruled, self._breaches = False, "", 0
-        # Whether CURRENT_MODE has reported who selected the mode, and so will report the next one.
-        self._led = False
+        # Whether CURRENT_MODE has reported the controller of the mode; then it reports the next one too.
+        self._is_mode_reported = False
         vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_heartbeat)
         vehicle.on(dialect.MAVLINK_MSG_ID_CURRENT_MODE, self._on_current_mode)
         vehicle.on(dialect.MAVLINK_MSG_ID_STATUSTEXT, self._on_text)
@@ -55,15 +55,15 @@ class Failsafe:
     @property
     def text(self) -> str:
         """The autopilot's texts about the failsafe, separated by commas; '' without any."""
-        said = self._vehicle.texts.since(self._noticed_at - BEFORE)
-        named = (text for text in said if _NAMES.search(text) and not _DOES_NOT.search(text))
-        return ", ".join(dict.fromkeys(named))
+        texts = self._vehicle.texts.since(self._detected_at - BEFORE)
+        reasons = (text for text in texts if _NAMES.search(text) and not _DOES_NOT.search(text))
+        return ", ".join(dict.fromkeys(reasons))
 
     @property
     def holder(self) -> str:
         """The controller of a vehicle that is not ours, as far as known."""
         # PX4 reports when a station or pilot has selected a mode after it.
-        return "its failsafe" if self.is_engaged and not self._led else self._state.holder
+        return "its failsafe" if self.is_engaged and not self._is_mode_reported else self._state.holder
 
     @property
     def holding(self) -> str:
@@ -85,11 +85,11 @@ class Failsafe:
 
     def release(self) -> None:
         """Ends the control by the failsafe: the program takes control again."""
-        self.is_engaged, self._led, self._noticed_at = False, False, -math.inf
+        self.is_engaged, self._is_mode_reported, self._detected_at = False, False, -math.inf
         self._state.set_failsafe(False)
         self._released_at = self._vehicle.clock.monotonic()
 
-    async def may_have_done(self, what: str, command: int, *values: float) -> None:
+    async def check_after_command(self, action: str, command: int, *values: float) -> None:
         """Checks whether the failsafe acted before this command because PX4 missed its setpoints.
 
         PX4 reports no reason then, and its text may arrive after the mode. If it has acted, the accepted
@@ -98,19 +98,19 @@ class Failsafe:
         if not self.is_engaged:
             self._released_at = self._vehicle.clock.monotonic()
         elif set(self.text.split(", ")) <= {"", "Failsafe activated"}:
-            await self._vehicle.command(what, command, *values)
+            await self._vehicle.command(action, command, *values)
             self.release()
 
     def on_earlier_engagement(self) -> None:
         """Records that a failsafe or another controller had the vehicle before contact was made."""
-        self._notice()
+        self._detect()
 
     # -- detection --------------------------------------------------------------------------------------
 
     def _on_heartbeat(self, _: Any) -> None:
         is_new = self._state.critical and not self._was_critical
         self._was_critical = self._state.critical
-        if is_new and not self._notice_late() and self._vehicle.exchange.px4:
+        if is_new and not self._detect_late() and self._vehicle.exchange.px4:
             # PX4 ends it when it accepts a command: a persisting one is new.
             self._was_critical = False
         self._check_mode()
@@ -119,8 +119,8 @@ class Failsafe:
         overruled = self._state.overruled or ""
         # A mode, never a late text: valid even right after a release.
         if overruled and overruled != self._overruled:
-            self._notice()
-            self._led = True
+            self._detect()
+            self._is_mode_reported = True
         self._overruled = overruled
         self._check_mode()
 
@@ -128,38 +128,38 @@ class Failsafe:
         now = self._vehicle.clock.monotonic()
         acts = [t for t in self._vehicle.texts.since(now) if _ACTS.search(t) and not _DOES_NOT.search(t)]
         if any(_BREACH.search(text) for text in acts):
-            # FENCE_STATUS comes once a second: when the breach is caught, it must not read as false.
+            # FENCE_STATUS comes once a second: a program that catches the breach must not read false.
             self._vehicle.publish(fenceBreached=True)
         if acts:
-            self._notice_late()
+            self._detect_late()
 
     def _on_fence(self, message: Any) -> None:
         breaches = message.breach_count if message.breach_status else 0
         if breaches and breaches != self._breaches:
-            self._notice_late()
+            self._detect_late()
         self._breaches = breaches
 
-    def _notice_late(self) -> bool:
-        """Detects a failsafe by late messages, unless they are of a released one; returns whether."""
+    def _detect_late(self) -> bool:
+        """Detects a failsafe by late messages, except those of a released one; returns whether it did."""
         if self._vehicle.clock.monotonic() - self._released_at <= LATE:
             return False
-        self._notice()
+        self._detect()
         return True
 
-    def _notice(self) -> None:
+    def _detect(self) -> None:
         if self._state.armed:
-            self._noticed_at = self._vehicle.clock.monotonic()
+            self._detected_at = self._vehicle.clock.monotonic()
             self._check_mode()
 
     def _check_mode(self) -> None:
         """Checks whether the failsafe selected the mode."""
         state = self._state
-        retreats = state.profile is not None and state.armed and state.mode in state.profile.fallbacks
-        recent = self._vehicle.clock.monotonic() - self._noticed_at <= LED
-        if not retreats:
-            self.is_engaged = self._led = False
+        is_in_fallback = state.profile is not None and state.armed and state.mode in state.profile.fallbacks
+        is_recent = self._vehicle.clock.monotonic() - self._detected_at <= MODE_DELAY
+        if not is_in_fallback:
+            self.is_engaged = self._is_mode_reported = False
             self._state.set_failsafe(False)
-        elif recent and not self.is_engaged:
+        elif is_recent and not self.is_engaged:
             self.is_engaged = True
             self._state.set_failsafe(True)
             self._vehicle.publish(mode=state.mode, failsafe=True)

@@ -109,13 +109,13 @@ class Fences:
 
     # -- steps ----------------------------------------------------------------------------------------
 
-    async def _set_fence(self, what: str, make: Callable[[], list[Item]], *, add: bool) -> None:
+    async def _set_fence(self, instruction: str, make_zone: Callable[[], list[Item]], *, add: bool) -> None:
         try:
-            zone = make()
+            zone = make_zone()
         except ValueError as error:
-            raise self._vehicle.error(f"{what}: {error}") from None
-        there = await self._plans.download(PlanKind.FENCE) if add else []
-        await self.replace([*there, *zone])
+            raise self._vehicle.error(f"{instruction}: {error}") from None
+        zones = await self._plans.download(PlanKind.FENCE) if add else []
+        await self.replace([*zones, *zone])
 
     async def replace(self, zones: list[Item]) -> None:
         """Replaces the fence, and enables it. Raises DeviceError."""
@@ -149,15 +149,15 @@ class OwnFence:
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._parameters = vehicle, parameters
 
-    async def why_beyond(self, goal: Vector, text: str = "the goal is") -> str:
+    async def excess_reason(self, goal: Vector, text: str = "the goal is") -> str:
         """The parameter fence that excludes a goal, in metres of home; '' for none.
 
         ArduPilot silently ignores a setpoint there; PX4 reports that it is outside its fence, but not which.
         """
         ceiling, circle = await self._known_edges()
-        far, height = math.hypot(*goal[:2]), -goal[2]
-        if 0.0 < circle[1] < far:
-            return f"{text} {far:.1f} m from home, but its own fence {circle[0]} ends at {circle[1]:g} m"
+        distance, height = math.hypot(*goal[:2]), -goal[2]
+        if 0.0 < circle[1] < distance:
+            return f"{text} {distance:.1f} m from home, but its own fence {circle[0]} ends at {circle[1]:g} m"
         if 0.0 < ceiling[1] < height and self._vehicle.profile.flies:
             return f"{text} {height:.1f} m up, but its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
         return ""
@@ -172,13 +172,13 @@ class OwnFence:
             return await self._edges("GF_ACTION", "GF_MAX_VER_DIST", "GF_MAX_HOR_DIST")
         return await self._switched_edges()
 
-    async def perhaps(self) -> str:
-        """Notes that uploaded zones may be the reason, '' without any."""
+    async def zones_hint(self) -> str:
+        """A note that uploaded zones may be the reason; '' without zones."""
         if self._vehicle.profile.px4 or not await self._parameters.read("FENCE_ENABLE"):
             return ""
         zones = int(await self._parameters.read("FENCE_TYPE") or 0) & ZONES
-        there = zones and await self._parameters.read("FENCE_TOTAL")
-        return "; its own fence has zones, which may be the reason: fence() lists them" if there else ""
+        has_zones = zones and await self._parameters.read("FENCE_TOTAL")
+        return "; its own fence has zones, which may be the reason: fence() lists them" if has_zones else ""
 
     async def _switched_edges(self) -> tuple[Edge, Edge]:
         """ArduPilot's edges, of the enabled kinds."""

@@ -25,21 +25,21 @@ from lfield_mavlink.setpoints.motion_orders import Order, ProgressPatience
 HEARTBEAT_WAIT = 2.5
 #: Seconds after a landing for the motors to be seen off: ArduPilot takes half a second, PX4 2 s unless its
 #: parameter differs; below 0 they stay on.
-GOES_OFF = 6.0
+MOTORS_OFF_TIMEOUT = 6.0
 DELAY_OFF = "COM_DISARM_LAND"
 #: For a landing, which may end below home, and for a return, which may hover above it for a while.
-LANDING_PATIENCE = ProgressPatience(message="it has come no lower for {seconds:g} s, and is not at rest")
+LANDING_PATIENCE = ProgressPatience(message="it has not descended for {seconds:g} s, and is not at rest")
 RETURN_PATIENCE = ProgressPatience(60.0, message="it has not moved for {seconds:g} s, and is not at rest")
 #: Modes that fly a part of the mission, in addition to the mission mode.
 BY_MISSION = ("AUTO_RTL",)
 #: Seconds after which ArduPilot has received our heartbeats, and between two attempts to arm until then.
-CLEARS, ARM_AGAIN = 1.5, 0.1
+STATION_TIMEOUT, ARM_RETRY_INTERVAL = 1.5, 0.1
 #: ArduPilot's reason until then.
 STATION_FAILSAFE = "GCS failsafe on"
 #: Requests for the home position after arming.
-HOMES = 5
+HOME_REQUESTS = 5
 #: Seconds for which an arming may be pending after it was last sent.
-UNDER_WAY = 10.0
+ARMING_PENDING = 10.0
 
 
 class Flight:
@@ -60,7 +60,7 @@ class Flight:
         self._arming_until = self._home_at = -math.inf
         vehicle.on(dialect.MAVLINK_MSG_ID_HOME_POSITION, self._on_home)
         # The mode in which the vehicle was last left under foreign control, '' for none.
-        self._left_in = ""
+        self._foreign_mode = ""
 
     # -- instructions ---------------------------------------------------------------------------------
 
@@ -90,7 +90,7 @@ class Flight:
         Until then it refuses.
         """
         vehicle, start = self._vehicle, self._vehicle.clock.monotonic()
-        await vehicle.wait_for(lambda: not self._state.critical, CLEARS)
+        await vehicle.wait_for(lambda: not self._state.critical, STATION_TIMEOUT)
         while True:
             now = vehicle.clock.monotonic()
             try:
@@ -98,17 +98,17 @@ class Flight:
                     "arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0
                 )
             except DeviceError as refusal:
-                if STATION_FAILSAFE not in refusal.reason or now - start > CLEARS:
+                if STATION_FAILSAFE not in refusal.reason or now - start > STATION_TIMEOUT:
                     raise await self._reasoned(refusal) from None
-            await asyncio.sleep(ARM_AGAIN)
+            await asyncio.sleep(ARM_RETRY_INTERVAL)
 
     async def _reasoned(self, refusal: DeviceError) -> DeviceError:
         """A refusal to arm, with a reason: PX4 gives none for some."""
         is_complaint = any(complaint in refusal.reason for complaint in COMPLAINTS)
         if is_complaint or refusal.kind == "DeviceTimeoutException":
             return refusal
-        why = await self._readiness.do_why_not_ready()
-        return self._vehicle.error(f"{refusal.reason}, {why}") if why else refusal
+        reason = await self._readiness.do_why_not_ready()
+        return self._vehicle.error(f"{refusal.reason}, {reason}") if reason else refusal
 
     async def do_foreign_control(self) -> str:
         """The controller that has replaced this program, '' for none."""
@@ -118,11 +118,11 @@ class Flight:
         """Requests home again, which moves to where the vehicle is armed: the message may have been lost."""
         vehicle, since = self._vehicle, self._vehicle.clock.monotonic()
         home = float(dialect.MAVLINK_MSG_ID_HOME_POSITION)
-        for _ in range(HOMES):
+        for _ in range(HOME_REQUESTS):
             answer = await vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, home)
             if answer.result not in (None, dialect.MAV_RESULT_ACCEPTED):
                 return
-            if await vehicle.wait_for(lambda: self._home_at >= since, STATE_TIMEOUT / HOMES):
+            if await vehicle.wait_for(lambda: self._home_at >= since, STATE_TIMEOUT / HOME_REQUESTS):
                 return
 
     def _on_home(self, _: Any) -> None:
@@ -149,24 +149,24 @@ class Flight:
         if not state.armed:
             # PX4 would accept the takeoff, and fly when it is armed later.
             raise self._vehicle.error("takeoff refused: the motors are off; call arm() first")
-        stood = state.landed
+        was_landed = state.landed
 
-        def climbing() -> bool:
-            return bool(stood) and not state.landed
+        def is_climbing() -> bool:
+            return bool(was_landed) and not state.landed
 
         if self._vehicle.profile.px4 and (state.home is None or state.position is None):
             raise self._vehicle.error("takeoff: its position or its home is unknown")
         order = self._motion.orders.take_off(state, height)
-        await self._motion.start("takeoff", order, is_accepted=climbing)
-        near = min(self._motion.tolerance, 0.1 * height)
-        await self._motion.travel("takeoff", order, lambda place: abs(height + place[2]), near)
+        await self._motion.start("takeoff", order, is_accepted=is_climbing)
+        tolerance = min(self._motion.tolerance, 0.1 * height)
+        await self._motion.travel("takeoff", order, lambda place: abs(height + place[2]), tolerance)
 
     async def do_land(self) -> None:
         """Lands at the present position."""
-        mode = await self._leave_for("land", "land", dialect.MAV_CMD_NAV_LAND)
+        mode = await self._enter_safe_mode("land", "land", dialect.MAV_CMD_NAV_LAND)
 
         def height(place: Vector) -> float:
-            return 0.0 if self._down else FAR - place[2]
+            return 0.0 if self._is_down else FAR - place[2]
 
         await self._motion.travel("land", Order(frozenset({mode})), height, 0.0, LANDING_PATIENCE)
         await self._await_motors_off("land")
@@ -175,15 +175,15 @@ class Flight:
         """Returns to home or a nearer rally point; done at rest there, after a landing if possible."""
         self._motion.check_bounded("returnHome", self._vehicle.profile.home)
         await self._returns.check("returnHome")
-        copter = self._vehicle.profile.kind == "copter"
-        ends = [] if copter else await self._returns.ends()
-        mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-        if copter:
-            way = ReturnProgress()
+        is_copter = self._vehicle.profile.kind == "copter"
+        ends = [] if is_copter else await self._returns.ends()
+        mode = await self._enter_safe_mode("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+        if is_copter:
+            progress = ReturnProgress()
             await self._motion.travel(
                 "returnHome",
                 Order(frozenset({mode})),
-                lambda place: 0.0 if self._down else way.left(place),
+                lambda place: 0.0 if self._is_down else progress.remaining(place),
                 0.0,
                 RETURN_PATIENCE,
             )
@@ -195,13 +195,13 @@ class Flight:
             with suppress(DeviceError):
                 await self._motion.speed.apply_target()
 
-        def left(place: Vector) -> float:
-            far = min(math.dist(place[:2], end[:2]) for end in ends)
+        def remaining(place: Vector) -> float:
+            distance = min(math.dist(place[:2], end[:2]) for end in ends)
             # PX4 switches off a rover that has returned.
-            return 0.0 if not self._state.armed and far <= AT_HOME else arrival.left(far)
+            return 0.0 if not self._state.armed and distance <= AT_HOME else arrival.remaining(distance)
 
         motion, order = self._motion, Order(frozenset({mode}))
-        await motion.travel("returnHome", order, left, motion.tolerance, motion.patience)
+        await motion.travel("returnHome", order, remaining, motion.tolerance, motion.patience)
 
     async def do_hold(self) -> None:
         """Stops and holds the position."""
@@ -212,8 +212,8 @@ class Flight:
         """Enters a mode by the autopilot's name; not a mission mode, whose mission must be checked."""
         mode, profile = name.upper(), self._vehicle.profile
         if profile.mode_values(mode) is None:
-            known = ", ".join(sorted(profile.modes.values()))
-            raise self._vehicle.error(f"{profile.stack} has no mode '{name}'; it has {known}")
+            names = ", ".join(sorted(profile.modes.values()))
+            raise self._vehicle.error(f"{profile.stack} has no mode '{name}'; it has {names}")
         if mode in (profile.mission, *BY_MISSION):
             raise self._vehicle.error(
                 f"setMode refused: {mode} would fly the vehicle's mission without a check of the limits; "
@@ -229,7 +229,7 @@ class Flight:
 
     def may_be_arming(self) -> None:
         """Records that a command to arm was sent, which may take effect although it is no longer awaited."""
-        self._arming_until = self._vehicle.clock.monotonic() + UNDER_WAY
+        self._arming_until = self._vehicle.clock.monotonic() + ARMING_PENDING
 
     async def make_safe(self, state: str) -> None:
         """Enters a safe state of the manifest, unless the vehicle is at rest or under foreign control.
@@ -243,18 +243,18 @@ class Flight:
                 await self._refresh_state()
             if not self._state.armed:
                 return
-            if not self._motion.ours:
+            if not self._motion.is_ours:
                 self._leave_alone()
                 return
             if self._state.landed and vehicle.profile.flies and await self._disarmed():
                 return
-        self._left_in = ""
+        self._foreign_mode = ""
         await self._motion.set_mode(self._motion.monitor.safe_mode(state))
 
     @property
     def _is_not_to_be_moved(self) -> bool:
         """Whether no action is needed, as far as known: motors off, or foreign control."""
-        return not (self._state.armed and self._motion.ours)
+        return not (self._state.armed and self._motion.is_ours)
 
     async def _refresh_state(self) -> None:
         """Waits for new messages, after cancelling an arming that may be pending. Raises DeviceError."""
@@ -273,10 +273,10 @@ class Flight:
 
     def _leave_alone(self) -> None:
         """Leaves the control to a pilot or the autopilot's own failsafe: taking over would be less safe."""
-        if self._left_in != self._state.mode:
-            self._left_in = self._state.mode
-            by = self._motion.failsafe.holder.rstrip(",")
-            self._vehicle.note(log_messages.LEFT_ALONE.line(mode=self._state.mode, holder=by))
+        if self._foreign_mode != self._state.mode:
+            self._foreign_mode = self._state.mode
+            holder = self._motion.failsafe.holder.rstrip(",")
+            self._vehicle.note(log_messages.LEFT_ALONE.line(mode=self._state.mode, holder=holder))
 
     async def _disarmed(self) -> bool:
         """Tries to switch the motors off; the autopilot refuses in the air.
@@ -296,35 +296,37 @@ class Flight:
     # -- steps ----------------------------------------------------------------------------------------
 
     @property
-    def _down(self) -> bool:
+    def _is_down(self) -> bool:
         """Whether the vehicle is on the ground, or cannot move by itself."""
         return bool(self._state.landed) or not self._state.armed
 
-    async def _await_motors_off(self, what: str) -> None:
+    async def _await_motors_off(self, action: str) -> None:
         """Waits until the autopilot has switched the motors off after a landing, or switches them off.
 
         Otherwise a later arm() would find them on and lose them afterwards. A PX4 that is configured to keep
         them on does so. Raises DeviceError, also when the landing was a crash.
         """
         vehicle = self._vehicle
-        await self._motion.monitor.check_landed(what)
-        if not vehicle.profile.flies or await vehicle.wait_for(lambda: not self._state.armed, GOES_OFF):
+        await self._motion.monitor.check_landed(action)
+        if not vehicle.profile.flies or await vehicle.wait_for(
+            lambda: not self._state.armed, MOTORS_OFF_TIMEOUT
+        ):
             return
         delay = await self._parameters.read(DELAY_OFF) if vehicle.profile.px4 else None
-        if (delay is None or delay >= 0.0) and self._state.landed and self._motion.ours:
-            vehicle.note(log_messages.MOTORS_ON.line(seconds=GOES_OFF))
+        if (delay is None or delay >= 0.0) and self._state.landed and self._motion.is_ours:
+            vehicle.note(log_messages.MOTORS_ON.line(seconds=MOTORS_OFF_TIMEOUT))
             await self.do_disarm()
 
-    async def _leave_for(self, what: str, safe_state: str, command: int) -> str:
+    async def _enter_safe_mode(self, action: str, safe_state: str, command: int) -> str:
         """Enters the mode of a safe state by its command, such as NAV_LAND; returns the mode.
 
         A vehicle that does not fly lacks these commands, or executes them as in the air: there the mode is
         set.
         """
-        self._motion.start_motion(what)
+        self._motion.start_motion(action)
         mode = self._vehicle.profile.safe(safe_state)
         if not self._vehicle.profile.flies:
             await self._motion.set_mode(mode)
             return mode
-        await self._motion.enter(what, mode, command, done=lambda: self._down)
+        await self._motion.enter(action, mode, command, is_done=lambda: self._is_down)
         return mode

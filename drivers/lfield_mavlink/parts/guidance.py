@@ -31,8 +31,8 @@ TURN_IN_PLACE_PATIENCE = ProgressPatience(
 TURN_CLEARANCE = 5.0
 LOOP_PATIENCE = ProgressPatience(
     4.0, 0.05, clearance=TURN_CLEARANCE,
-    message="driving round it came no closer to its heading for {seconds:g} s, or {clearance:g} m away, "
-            "and is {left:.2f} rad off; give it more room by goTo",
+    message="driving round, it did not turn towards its heading for {seconds:g} s, or moved {clearance:g} m "
+            "away, and is {left:.2f} rad off; use goTo to reach a position with more free space",
 )  # fmt: skip
 #: Metres ahead of a vehicle that does not follow a velocity, where its own fence is checked.
 AHEAD = 5.0
@@ -46,7 +46,7 @@ class Guidance:
         self._motion, self._limits = motion, limits
         self._turning, self._following = Turning(), Following()
         # Positions to check against its own fence, with the message for it.
-        self._doubtful: asyncio.Queue[tuple[str, str, Vector]] = asyncio.Queue()
+        self._fence_checks: asyncio.Queue[tuple[str, str, Vector]] = asyncio.Queue()
         motion.failsafe.set_engaged_handler(self._check_fence_here)
 
     async def run(self) -> None:
@@ -55,11 +55,11 @@ class Guidance:
         setVelocity does not wait for the fence parameters, since it must be repeated in time.
         """
         while True:
-            what, subject, place = await self._doubtful.get()
+            symptom, subject, place = await self._fence_checks.get()
             # A lost link is reported elsewhere.
             with suppress(DeviceError):
-                if why := await self._motion.fence.why_beyond(place, subject):
-                    self._vehicle.note(log_messages.FENCE_SUSPECTED.line(symptom=what, reason=why))
+                if reason := await self._motion.fence.excess_reason(place, subject):
+                    self._vehicle.note(log_messages.FENCE_SUSPECTED.line(symptom=symptom, reason=reason))
 
     # -- places ---------------------------------------------------------------------------------------
 
@@ -76,28 +76,28 @@ class Guidance:
         home = self._state.home
         if home is None or not self._state.knows_frames:
             raise self._vehicle.error("goToGlobal: the home position is unknown")
-        north, east, _ = home.to(Place(latitude, longitude, home.altitude), self._state.radius)
+        north, east, _ = home.vector_to(Place(latitude, longitude, home.altitude), self._state.radius)
         await self._go_to("goToGlobal", (north, east, -height))
 
-    async def _go_to(self, what: str, goal: Vector) -> None:
+    async def _go_to(self, action: str, goal: Vector) -> None:
         motion, vehicle = self._motion, self._vehicle
-        self._limits.check_goal(what, goal)
-        self._check_placed(what)
-        motion.start_motion(what)
-        if vehicle.profile.by_trajectory and (why := await motion.fence.why_beyond(goal)):
+        self._limits.check_goal(action, goal)
+        self._check_position_known(action)
+        motion.start_motion(action)
+        if vehicle.profile.by_trajectory and (reason := await motion.fence.excess_reason(goal)):
             # PX4 follows setpoints up to its fence, and then acts.
-            raise vehicle.error(f"{what} refused: {why}")
-        speed = await motion.speed.of_goal()
+            raise vehicle.error(f"{action} refused: {reason}")
+        speed = await motion.speed.goal_speed()
         order = motion.orders.go_to(self._state, goal, speed)
-        await motion.start(what, order)
+        await motion.start(action, order)
         motion.monitor.goes_to(goal)
         arrival = await motion.arrival()
 
         def distance(place: Vector) -> float:
             flies = vehicle.profile.flies
-            return math.dist(goal, place) if flies else arrival.left(math.dist(goal[:2], place[:2]))
+            return math.dist(goal, place) if flies else arrival.remaining(math.dist(goal[:2], place[:2]))
 
-        await motion.travel(what, order, distance, motion.tolerance, motion.patience)
+        await motion.travel(action, order, distance, motion.tolerance, motion.patience)
         if vehicle.profile.by_trajectory and not vehicle.profile.flies:
             await motion.hold()
 
@@ -105,36 +105,36 @@ class Guidance:
         """Turns to a heading: on the spot, but a PX4 rover drives round."""
         if not math.isfinite(heading):
             raise self._vehicle.error(f"yaw requires a finite heading, not {heading}")
-        self._check_placed("yaw")
+        self._check_position_known("yaw")
         motion, state = self._motion, self._state
         motion.start_motion("yaw")
         order = motion.orders.turn(state, heading, motion.speed.target)
 
-        def left(_: Vector) -> float:
+        def remaining(_: Vector) -> float:
             return math.inf if state.yaw is None else abs(math.remainder(state.yaw - heading, math.tau))
 
         if self._vehicle.profile.px4 and not self._vehicle.profile.flies:
-            await self._drive_round(order, left)
+            await self._drive_round(order, remaining)
             return
         await motion.start("yaw", order)
         patience = TURN_IN_PLACE_PATIENCE if order.target else TURN_PATIENCE
-        await motion.travel("yaw", order, left, HEADING_TOLERANCE, patience)
+        await motion.travel("yaw", order, remaining, HEADING_TOLERANCE, patience)
 
-    async def _drive_round(self, order: Order, left: Callable[[Vector], float]) -> None:
+    async def _drive_round(self, order: Order, remaining: Callable[[Vector], float]) -> None:
         """Follows a velocity until the heading is reached, within the permitted room; then holds."""
         motion, place = self._motion, self._state.position
         assert place is not None, "the caller has checked it"
         assert order.target is not None, "so the order is created"
-        if left(place) <= HEADING_TOLERANCE:
+        if remaining(place) <= HEADING_TOLERANCE:
             return
         farthest = Circle((place[0], place[1], 0.0), TURN_CLEARANCE, 1.0, clockwise=True).farthest
         self._limits.check_goal(f"yaw, which needs {TURN_CLEARANCE:g} m to drive round in,", farthest)
-        if why := await motion.fence.why_beyond(
+        if reason := await motion.fence.excess_reason(
             farthest, f"it needs {TURN_CLEARANCE:g} m to drive round in, up to"
         ):
-            raise self._vehicle.error(f"yaw refused: {why}")
+            raise self._vehicle.error(f"yaw refused: {reason}")
         await self._follow("yaw", order.target(place))
-        await motion.travel("yaw", order, left, HEADING_TOLERANCE, LOOP_PATIENCE)
+        await motion.travel("yaw", order, remaining, HEADING_TOLERANCE, LOOP_PATIENCE)
         motion.stream.stop()
         await motion.hold()
 
@@ -151,13 +151,13 @@ class Guidance:
         circle = Circle(centre, radius, speed, turns > 0.0)
         limits.check_goal("orbit", circle.farthest)
         limits.check_speed("orbit", speed)
-        self._check_placed("orbit")
+        self._check_position_known("orbit")
         motion.start_motion("orbit")
-        if why := await motion.fence.why_beyond(circle.farthest, "the circle leads up to"):
-            raise self._vehicle.error(f"orbit refused: {why}")
+        if reason := await motion.fence.excess_reason(circle.farthest, "the circle leads up to"):
+            raise self._vehicle.error(f"orbit refused: {reason}")
         order = motion.orders.orbit(self._state, circle)
         await motion.start("orbit", order)
-        await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0, motion.patience)
+        await motion.travel("orbit", order, Revolutions(circle, abs(turns)).remaining, 0.0, motion.patience)
         await motion.hold()
 
     # -- speeds ---------------------------------------------------------------------------------------
@@ -173,8 +173,8 @@ class Guidance:
         """Sets a velocity, valid for the time-to-live of the binding unless it is replaced."""
         velocity = (north, east, down)
         self._limits.check_speed("setVelocity", math.hypot(*velocity))
-        self._limits.check_way_out(self._state.position, velocity)
-        commanded = self._motion.speed.of_velocity(velocity)
+        self._limits.check_velocity(self._state.position, velocity)
+        commanded = self._motion.speed.corrected_velocity(velocity)
         await self._follow("setVelocity", Target(ONLY_VELOCITY, velocity=commanded))
         self._check_fence_ahead(velocity)
 
@@ -185,13 +185,13 @@ class Guidance:
         if self._following.fails(velocity, state.velocity, ttl, now) and place is not None:
             share = AHEAD / math.hypot(*velocity)
             north, east, down = (p + share * v for p, v in zip(place, velocity, strict=True))
-            what = f"setVelocity has hardly moved the vehicle for {Following.JUDGED:g} s"
-            self._doubtful.put_nowait((what, f"{AHEAD:g} m ahead is", (north, east, down)))
+            symptom = f"setVelocity has hardly moved the vehicle for {Following.JUDGED:g} s"
+            self._fence_checks.put_nowait((symptom, f"{AHEAD:g} m ahead is", (north, east, down)))
 
     def _check_fence_here(self) -> None:
         """Schedules a check of the fence after its failsafe acted; its text names no parameter."""
-        if (place := self._state.position) is not None and not self._vehicle.quiet:
-            self._doubtful.put_nowait(
+        if (place := self._state.position) is not None and not self._vehicle.is_quiet:
+            self._fence_checks.put_nowait(
                 (f"its failsafe controls the vehicle in {self._state.mode}", "it is", place)
             )
 
@@ -205,16 +205,16 @@ class Guidance:
             raise self._vehicle.error(f"setYawRate has not changed its heading for 2 s; {CANNOT_TURN}")
         await self._follow("setYawRate", Target(VELOCITY_AND_YAW_RATE, yaw_rate=rate))
 
-    async def _follow(self, what: str, target: Target) -> None:
+    async def _follow(self, action: str, target: Target) -> None:
         """Sends a setpoint: once to ArduPilot, repeatedly to PX4 until its time-to-live."""
         motion, vehicle = self._motion, self._vehicle
-        ttl, before = vehicle.binding.ttl, self._state.mode
+        ttl, previous_mode = vehicle.binding.ttl, self._state.mode
         until = vehicle.clock.monotonic() + ttl
-        motion.start_motion(what)
+        motion.start_motion(action)
         if vehicle.profile.px4:
             motion.stream.start(target, until)
             try:
-                await motion.guided.enter_offboard(what, until, f"the ttl of {ttl:g} s")
+                await motion.guided.enter_offboard(action, until, f"the ttl of {ttl:g} s")
             except BaseException:
                 # Failed or cancelled: stop sending.
                 motion.brake()
@@ -225,10 +225,10 @@ class Guidance:
             if not await motion.guided.enter_guided(until):
                 await motion.set_mode(vehicle.profile.guided)
             # Earlier heartbeats may arrive on another link.
-            motion.claim(vehicle.profile.guided, before)
+            motion.claim(vehicle.profile.guided, previous_mode)
         motion.send(target)
 
-    def _check_placed(self, what: str) -> None:
+    def _check_position_known(self, action: str) -> None:
         needs_home = self._vehicle.profile.px4
         if self._state.position is None or (needs_home and self._state.home is None):
-            raise self._vehicle.error(f"{what}: its position or its home is unknown")
+            raise self._vehicle.error(f"{action}: its position or its home is unknown")

@@ -48,8 +48,8 @@ class Maintenance:
 
         The limits of the binding are relative to home, so it must not change in flight.
         """
-        fits = abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)
-        if not fits:
+        is_valid = abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)
+        if not is_valid:
             raise self._vehicle.error("setHome requires a latitude, a longitude and a finite altitude")
         if self._state.armed:
             raise self._vehicle.error(
@@ -58,15 +58,15 @@ class Maintenance:
         place = Place(latitude, longitude, altitude)
         await self._vehicle.command("setHome", dialect.MAV_CMD_DO_SET_HOME, 0.0, place=place)
 
-        def there() -> bool:
+        def is_set() -> bool:
             home = self._state.home
-            return home is not None and math.dist(home.to(place), (0.0, 0.0, 0.0)) <= HOME_TOLERANCE
+            return home is not None and math.dist(home.vector_to(place), (0.0, 0.0, 0.0)) <= HOME_TOLERANCE
 
         for _ in range(HOME_ATTEMPTS):
             await self._vehicle.exchange.command(
                 dialect.MAV_CMD_REQUEST_MESSAGE, float(dialect.MAVLINK_MSG_ID_HOME_POSITION)
             )
-            if await self._vehicle.wait_for(there, HOME_TIMEOUT):
+            if await self._vehicle.wait_for(is_set, HOME_TIMEOUT):
                 return
         raise self._vehicle.error("setHome was accepted, but home is elsewhere")
 
@@ -74,7 +74,7 @@ class Maintenance:
         """Restarts the autopilot; done when it is back and set up again."""
         if self._state.armed:
             raise self._vehicle.error("reboot refused: the vehicle is armed")
-        before = self._state.booted
+        booted_before = self._state.booted
         restarted = asyncio.Event()
         # The answer may be lost, and cannot be requested again.
         await self._vehicle.command(
@@ -84,18 +84,20 @@ class Maintenance:
             is_accepted=lambda: self._vehicle.silence > GONE,
         )
 
-        def back() -> bool:
+        def has_restarted() -> bool:
             """Whether a clock restarted from 0, or, without a known time, a message arrived after a
             silence.
             """
             if self._vehicle.silence > LINK_LOST:
                 restarted.set()
-            now = self._state.booted
-            has_rebooted = before is not None and now is not None and now < before - OVERTAKEN
+            booted = self._state.booted
+            has_rebooted = (
+                booted_before is not None and booted is not None and booted < booted_before - OVERTAKEN
+            )
             return (has_rebooted or restarted.is_set()) and self._vehicle.silence < 1.0
 
         end = self._vehicle.clock.monotonic() + RESTART
-        while not await self._vehicle.wait_for(back, 1.0):
+        while not await self._vehicle.wait_for(has_restarted, 1.0):
             if self._vehicle.clock.monotonic() > end:
                 raise self._vehicle.error(f"reboot: it is not back after {RESTART:g} s", timeout=True)
             self._request_time()

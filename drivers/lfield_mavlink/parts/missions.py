@@ -23,8 +23,8 @@ from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, coordin
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
 #: Seconds to wait for the current item that was set, which PX4 reports once a second; number of attempts.
-PATIENCE, QUESTIONS = 1.2, 4
-#: Seconds after the last sign of a change in which a transfer by another station may continue.
+ANSWER_TIMEOUT, ATTEMPTS = 1.2, 4
+#: Seconds after the last indication of a change in which a transfer by another station may continue.
 UNDER_WAY = 2.0
 
 #: The default radius of a circle, by autopilot and kind of vehicle: parameter names, with units per metre.
@@ -67,10 +67,10 @@ class Missions:
         self._completed_at = -math.inf
         # Whether the vehicle reports that its mission has not started, and so starts with waypoint 0.
         self._is_starting = True
-        # Signs of a changed mission in flight: '' requires a check, any other text is a reason to hold.
+        # Indications of a changed mission in flight: '' requires a check, other texts are reasons to hold.
         self._changes = MissionChanges()
         self._target = MissionTarget(*limits.places)
-        self._signs: asyncio.Queue[str] = asyncio.Queue()
+        self._change_signs: asyncio.Queue[str] = asyncio.Queue()
         vehicle.on(_CURRENT, self._on_current)
         vehicle.on(dialect.MAVLINK_MSG_ID_PARAM_VALUE, self._on_parameter)
         vehicle.on(dialect.MAVLINK_MSG_ID_STATUSTEXT, self._on_text)
@@ -103,32 +103,32 @@ class Missions:
         """Flies the stored mission from its current waypoint. Done when it has started."""
         await self.start("startMission")
 
-    async def upload(self, what: str, items: Sequence[Item]) -> None:
+    async def upload(self, action: str, items: Sequence[Item]) -> None:
         """Replaces the mission, and makes its first item the current one. Raises DeviceError."""
-        await self._check(what, items)
-        self._check_not_flown(what)
+        await self._check(action, items)
+        self._check_not_flown(action)
         await self._plans.upload(PlanKind.MISSION, items)
         self._count, self._reached, self._completed_at = len(items), -1, -math.inf
-        await self._make_current(what, 0)
+        await self._make_current(action, 0)
 
-    async def start(self, what: str) -> None:
+    async def start(self, action: str) -> None:
         """Flies the stored mission from its current waypoint. Raises DeviceError."""
         profile = self._vehicle.profile
-        self._motion.check_bounded(what, profile.mission)
-        self._motion.start_motion(what)
+        self._motion.check_bounded(action, profile.mission)
+        self._motion.start_motion(action)
         if not self._state.armed:
-            raise self._vehicle.error(f"{what} refused: the vehicle is not armed; call arm() first")
+            raise self._vehicle.error(f"{action} refused: the vehicle is not armed; call arm() first")
         items = await self._plans.download(PlanKind.MISSION)
         if not items:
             raise self._vehicle.error(
-                f"{what} refused: the vehicle has no mission; call uploadMission() first"
+                f"{action} refused: the vehicle has no mission; call uploadMission() first"
             )
-        await self._check(what, items, starts=True)
+        await self._check(action, items, starts=True)
         if profile.flies and self._state.landed:
             self._check_takeoff(items)
         self._count = len(items)
         start = dialect.MAV_CMD_MISSION_START
-        await self._motion.enter(what, profile.mission, start, 0.0, 0.0)
+        await self._motion.enter(action, profile.mission, start, 0.0, 0.0)
         if profile.px4:
             # The vehicle stays in this mode when the mission is complete.
             self._motion.claim(profile.mission, profile.hold)
@@ -136,10 +136,10 @@ class Missions:
             await self._motion.speed.apply_target()
             if self._limits.bounds_anything:
                 # Another station may have changed it meanwhile.
-                await self._check(what, await self._plans.download(PlanKind.MISSION), starts=True)
+                await self._check(action, await self._plans.download(PlanKind.MISSION), starts=True)
         except DeviceError as error:
             await self._motion.halt("its speed or its mission is not known to stay within the limits")
-            raise self._vehicle.error(f"{what}: holding, {error.reason}") from None
+            raise self._vehicle.error(f"{action}: holding, {error.reason}") from None
 
     def is_complete(self, since: float) -> bool:
         """Whether the mission has become complete after a time of the monotonic clock."""
@@ -173,10 +173,10 @@ class Missions:
     async def run(self) -> None:
         """Holds when another station changes the running mission to one that may leave the limits."""
         while True:
-            sign: str | None = await self._signs.get()
+            sign: str | None = await self._change_signs.get()
             while sign is not None and self._is_ours:
-                if why := sign or await self._recheck():
-                    await self._hold(why)
+                if reason := sign or await self._recheck():
+                    await self._hold(reason)
                     break
                 # A transfer may be in progress without other notice.
                 sign = await self._next_sign(UNDER_WAY)
@@ -193,47 +193,47 @@ class Missions:
 
     async def _next_sign(self, seconds: float) -> str | None:
         """The next sign within so many seconds, None without one; earlier ones are merged."""
-        while self._signs.qsize() > 1:
-            self._signs.get_nowait()
+        while self._change_signs.qsize() > 1:
+            self._change_signs.get_nowait()
         try:
-            return await asyncio.wait_for(self._signs.get(), seconds)
+            return await asyncio.wait_for(self._change_signs.get(), seconds)
         except TimeoutError:
             return None
 
-    async def _hold(self, why: str) -> None:
-        self._vehicle.note(log_messages.MISSION_CHANGED.line(reason=why))
+    async def _hold(self, reason: str) -> None:
+        self._vehicle.note(log_messages.MISSION_CHANGED.line(reason=reason))
         try:
-            await self._motion.halt(why)
+            await self._motion.halt(reason)
         except DeviceError as error:
             self._vehicle.note(log_messages.NOT_HOLDING.line(reason=error.reason))
 
     @property
     def _is_ours(self) -> bool:
         """Whether a mission of this program with limits is running."""
-        return self._is_flown and self._motion.ours and self._limits.bounds_anything
+        return self._is_flown and self._motion.is_ours and self._limits.bounds_anything
 
     def _on_parameter(self, message: Any) -> None:
         if self._changes.on_parameter(message):
-            self._sign()
+            self._add_sign()
 
     def _on_text(self, message: Any) -> None:
         if message.text.startswith(CHANGED):
-            self._sign()
+            self._add_sign()
 
     def _on_target(self, message: Any) -> None:
         state = self._state
         if state.profile is None or state.home is None or not self._is_ours:
             return
-        if why := self._target.beyond(message, state.home, flies=self._vehicle.profile.flies):
-            self._sign(why)
+        if reason := self._target.excess(message, state.home, flies=self._vehicle.profile.flies):
+            self._add_sign(reason)
 
-    def _sign(self, why: str = "") -> None:
+    def _add_sign(self, reason: str = "") -> None:
         if self._state.profile is not None and self._is_ours:
-            self._signs.put_nowait(why)
+            self._change_signs.put_nowait(reason)
 
     # -- steps ----------------------------------------------------------------------------------------
 
-    async def _make_current(self, what: str, number: int) -> None:
+    async def _make_current(self, action: str, number: int) -> None:
         """Sets the current item and confirms it. Raises DeviceError."""
         sequence = number + self._first
         message = dialect.MAVLink_mission_set_current_message(self._vehicle.system, AUTOPILOT, sequence)
@@ -241,11 +241,11 @@ class Missions:
         def is_set(reply: Any) -> bool:
             return bool(reply.get_msgId() == _CURRENT and reply.seq == sequence)
 
-        for _ in range(QUESTIONS):
+        for _ in range(ATTEMPTS):
             self._vehicle.send(message)
-            if await self._vehicle.expect(is_set, PATIENCE):
+            if await self._vehicle.expect(is_set, ANSWER_TIMEOUT):
                 return
-        raise self._vehicle.error(f"{what}: waypoint {number} did not become the current one", timeout=True)
+        raise self._vehicle.error(f"{action}: waypoint {number} did not become the current one", timeout=True)
 
     @property
     def _is_flown(self) -> bool:
@@ -262,19 +262,21 @@ class Missions:
         number = f", and waypoint {first} is not a takeoff" if first else ""
         raise self._vehicle.error(f"startMission refused: it is on the ground{number}; call takeoff() first")
 
-    def _check_not_flown(self, what: str) -> None:
+    def _check_not_flown(self, action: str) -> None:
         if self._is_flown:
-            raise self._vehicle.error(f"{what} refused: a mission is running; call pauseMission() first")
+            raise self._vehicle.error(f"{action} refused: a mission is running; call pauseMission() first")
 
-    async def _check(self, what: str, items: Sequence[Item], *, starts: bool = False) -> None:
+    async def _check(self, action: str, items: Sequence[Item], *, starts: bool = False) -> None:
         """Refuses a mission that leaves the limits of the binding, also of other stations. Raises
         DeviceError.
         """
         self._curved = self._limits.bound_places and has_command(items, *CURVES)
-        back = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH
-        returns = [number + self._first for number, item in enumerate(items) if item.command == back]
-        self._changes.checked(curved=self._curved, returns=returns)
-        check_mission(what, items, self._limits, self._vehicle.error, await self._situation(items, starts))
+        return_command = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH
+        returns = [
+            number + self._first for number, item in enumerate(items) if item.command == return_command
+        ]
+        self._changes.on_checked(curved=self._curved, returns=returns)
+        check_mission(action, items, self._limits, self._vehicle.error, await self._situation(items, starts))
 
     async def _situation(self, items: Sequence[Item], starts: bool) -> Situation:
         """The data for the check; requests only data that these items need."""
@@ -296,13 +298,13 @@ class Missions:
         if self._state.profile is None:
             return  # the first number is unknown before its first heartbeat
         if self._changes.on_current(message):
-            self._sign()
-        before, self._current = self._current, max(message.seq - self._first, -1)
+            self._add_sign()
+        previous, self._current = self._current, max(message.seq - self._first, -1)
         self._is_starting = message.mission_state in _NOT_STARTED_STATES
         # The message that an item was reached comes once and may be lost.
         if self._state.mode == self._vehicle.profile.mission:
-            if self._current == before + 1:
-                self._reached = max(self._reached, before)
+            if self._current == previous + 1:
+                self._reached = max(self._reached, previous)
             if message.mission_state == dialect.MISSION_STATE_COMPLETE:
                 self._reached = max(self._reached, self._count - 1)
         if message.mission_state == dialect.MISSION_STATE_COMPLETE:

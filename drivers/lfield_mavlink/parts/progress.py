@@ -19,28 +19,36 @@ class Progress:
 
     def __init__(self, patience: ProgressPatience, start: float, place: Vector | None = None) -> None:
         self._patience, self._place = patience, place
-        self._best, self._best_at, self._moved_at = math.inf, start, start
+        self._least_remaining, self._progress_at, self._moved_at = math.inf, start, start
 
     def is_over(
-        self, left: float, moves: bool, now: float, pace: float | None = None, place: Vector | None = None
+        self,
+        remaining: float,
+        is_moving: bool,
+        now: float,
+        speed: float | None = None,
+        place: Vector | None = None,
     ) -> bool:
         """Adds the remaining distance, and speed and position if known; returns whether the motion has
         failed.
         """
-        if moves:
+        if is_moving:
             self._moved_at = now
-        if left < self._best - self._patience.closer:
-            self._best, self._best_at = left, now
-        waits = self._patience.bound(moves, pace)
-        return now - self._best_at > waits or self._gone(place) > self._patience.clearance
+        if remaining < self._least_remaining - self._patience.closer:
+            self._least_remaining, self._progress_at = remaining, now
+        time_limit = self._patience.bound(is_moving, speed)
+        return (
+            now - self._progress_at > time_limit
+            or self._distance_from_start(place) > self._patience.clearance
+        )
 
-    def _gone(self, place: Vector | None) -> float:
+    def _distance_from_start(self, place: Vector | None) -> float:
         """Metres from the start of the motion, if known."""
         if self._place is None or place is None:
             return 0.0
         return math.dist(self._place[:2], place[:2])
 
-    def stood(self, now: float) -> float:
+    def rest_time(self, now: float) -> float:
         """Seconds since the vehicle last moved."""
         return now - self._moved_at
 
@@ -51,18 +59,18 @@ class Arrival:
     ArduPilot stops a rover within WP_RADIUS of its goal.
     """
 
-    def __init__(self, radius: float, moves: Callable[[], bool], now: Callable[[], float]) -> None:
-        self._radius, self._moves, self._now = radius, moves, now
-        self._stood_since: float | None = None
+    def __init__(self, radius: float, is_moving: Callable[[], bool], now: Callable[[], float]) -> None:
+        self._radius, self._is_moving, self._now = radius, is_moving, now
+        self._resting_since: float | None = None
 
-    def left(self, far: float) -> float:
+    def remaining(self, distance: float) -> float:
         """The remaining distance for a distance to the goal."""
-        if self._moves() or self._radius <= 0.0 or far > self._radius + EARLY:
-            self._stood_since = None
-        elif self._stood_since is None:
-            self._stood_since = self._now()
-        stands = self._stood_since is not None and self._now() - self._stood_since >= STOPPED
-        return 0.0 if stands else far
+        if self._is_moving() or self._radius <= 0.0 or distance > self._radius + EARLY:
+            self._resting_since = None
+        elif self._resting_since is None:
+            self._resting_since = self._now()
+        has_stopped = self._resting_since is not None and self._now() - self._resting_since >= STOPPED
+        return 0.0 if has_stopped else distance
 
 
 class ReturnProgress:
@@ -75,7 +83,7 @@ class ReturnProgress:
         self._moved = 0.0
         self._last: Vector | None = None
 
-    def left(self, place: Vector) -> float:
+    def remaining(self, place: Vector) -> float:
         """Minus the distance flown so far: a return has no known path, so any motion is progress."""
         step = 0.0 if self._last is None else math.dist(place, self._last)
         if self._last is None or step >= self.STEP:
@@ -89,35 +97,35 @@ ONTO = 0.3
 
 
 class Revolutions:
-    """Counts the turns of an orbit; `left` is the remaining distance in metres."""
+    """Counts the turns of an orbit; `remaining` returns the remaining distance in metres."""
 
     def __init__(self, circle: Circle, turns: float) -> None:
         self._circle, self._total = circle, turns * math.tau
         self._turned = 0.0
         self._last: float | None = None
 
-    def left(self, place: Vector) -> float:
-        """The remaining distance, including the way onto the circle."""
+    def remaining(self, place: Vector) -> float:
+        """The remaining distance, including the approach to the circle."""
         north, east = place[0] - self._circle.centre[0], place[1] - self._circle.centre[1]
-        off = abs(math.hypot(north, east) - self._circle.radius)
+        deviation = abs(math.hypot(north, east) - self._circle.radius)
         angle = math.atan2(east, north)
-        if off > 0.5 * self._circle.radius:
+        if deviation > 0.5 * self._circle.radius:
             self._last = None
-            return off + self._total * self._circle.radius
+            return deviation + self._total * self._circle.radius
         if self._last is not None:
             step = math.remainder(angle - self._last, math.tau)
             self._turned += step if self._circle.clockwise else -step
         self._last = angle
         # The vehicle may approach the circle until it is on it.
-        onto = off if self._turned < min(ONTO, self._total) else 0.0
-        return onto + (self._total - self._turned) * self._circle.radius
+        approach = deviation if self._turned < min(ONTO, self._total) else 0.0
+        return approach + (self._total - self._turned) * self._circle.radius
 
 
 class Turning:
     """Whether a frame follows repeated yaw rates, by its heading.
 
-    A car-like rover turns only while driving. Judged after JUDGED seconds, once it should have turned by
-    ENOUGH radians.
+    A car-like rover turns only while driving. The result is known after JUDGED seconds, when the frame should
+    have turned by ENOUGH radians.
     """
 
     JUDGED, ENOUGH, SHARE = 2.0, 0.2, 0.25
@@ -132,39 +140,39 @@ class Turning:
 
         Restarts after a `gap` of so many seconds.
         """
-        renewed = self._since is not None and rate == self._rate and now - self._last_at <= gap
+        is_renewed = self._since is not None and rate == self._rate and now - self._last_at <= gap
         self._last_at = now
-        if not renewed:
+        if not is_renewed:
             self._since, self._rate, self._heading = now, rate, heading
         assert self._since is not None, "just set"
-        should = abs(rate) * (now - self._since)
-        if now - self._since < self.JUDGED or should < self.ENOUGH:
+        expected = abs(rate) * (now - self._since)
+        if now - self._since < self.JUDGED or expected < self.ENOUGH:
             return False
-        turned = abs(math.remainder(heading - self._heading, math.tau))
+        actual = abs(math.remainder(heading - self._heading, math.tau))
         self._since = None
-        return turned < self.SHARE * min(should, math.pi)
+        return actual < self.SHARE * min(expected, math.pi)
 
 
 class Following:
-    """Whether a vehicle follows repeated velocities in m/s; judged after JUDGED s."""
+    """Whether a vehicle follows repeated velocities in m/s; the result is known after JUDGED seconds."""
 
     JUDGED, SHARE = 2.0, 1.0 / 3.0
 
     def __init__(self) -> None:
         self._since = self._last_at = -math.inf
-        self._said = False
+        self._was_reported = False
 
-    def fails(self, asked: Vector, has: Vector, gap: float, now: float) -> bool:
+    def fails(self, commanded: Vector, actual: Vector, gap: float, now: float) -> bool:
         """Adds a commanded velocity; returns, once, whether it had hardly any effect.
 
         Restarts after a `gap` of so many seconds.
         """
-        speed = math.hypot(*asked)
-        along = sum(a * h for a, h in zip(asked, has, strict=True))
-        renewed, self._last_at = now - self._last_at <= gap, now
-        if not renewed or along >= self.SHARE * speed**2:
-            self._since, self._said = now, False
-        if self._said or now - self._since < self.JUDGED:
+        speed = math.hypot(*commanded)
+        along = sum(a * h for a, h in zip(commanded, actual, strict=True))
+        is_renewed, self._last_at = now - self._last_at <= gap, now
+        if not is_renewed or along >= self.SHARE * speed**2:
+            self._since, self._was_reported = now, False
+        if self._was_reported or now - self._since < self.JUDGED:
             return False
-        self._said = True
+        self._was_reported = True
         return True

@@ -41,7 +41,7 @@ class Readiness:
     def __init__(self, vehicle: Contact, motion: Motion) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
         # Reports from before a change of mode are ignored.
-        self._counts_from = -math.inf
+        self._valid_from = -math.inf
 
     async def do_is_ready(self) -> bool:
         """Whether the vehicle can be armed, or is armed."""
@@ -51,8 +51,8 @@ class Readiness:
         """The reason why the vehicle cannot be armed, in the autopilot's words if available; '' when it
         can.
         """
-        lack = self._missing()
-        return await self._reason_text(lack) if lack else ""
+        condition = self._missing()
+        return await self._reason_text(condition) if condition else ""
 
     async def do_wait_ready(self, seconds: float) -> None:
         """Waits until the vehicle can be armed, in the arming mode. Raises DeviceError with the reason."""
@@ -60,35 +60,36 @@ class Readiness:
         if not 0.0 <= seconds < math.inf:
             raise vehicle.error(f"waitReady requires seconds of at least 0, not {seconds:g}")
         start = vehicle.clock.monotonic()
-        moded_at, noted = -math.inf, False
-        self._counts_from = -math.inf
-        while lack := self._missing() or self._elsewhere():
+        mode_sent_at, is_logged = -math.inf, False
+        self._valid_from = -math.inf
+        while condition := self._missing() or self._mode_mismatch():
             now = vehicle.clock.monotonic()
             if now - start >= seconds:
-                raise await self._timeout_error(seconds, lack)
-            if now - start >= LONG and not noted:
-                vehicle.note(log_messages.NOT_ARMABLE.line(reason=lack))
-                noted = True
-            if self._is_in_another_mode and now - moded_at >= MODE_RETRY_INTERVAL:
+                raise await self._timeout_error(seconds, condition)
+            if now - start >= LONG and not is_logged:
+                vehicle.note(log_messages.NOT_ARMABLE.line(reason=condition))
+                is_logged = True
+            if self._is_in_another_mode and now - mode_sent_at >= MODE_RETRY_INTERVAL:
                 await self._enter_mode()
-                moded_at = vehicle.clock.monotonic()
-                self._counts_from = moded_at + SETTLES
+                mode_sent_at = vehicle.clock.monotonic()
+                self._valid_from = mode_sent_at + SETTLES
             await vehicle.wait_for(
-                lambda: not (self._missing() or self._elsewhere()), min(CHECK_INTERVAL, start + seconds - now)
+                lambda: not (self._missing() or self._mode_mismatch()),
+                min(CHECK_INTERVAL, start + seconds - now),
             )
 
-    async def _reason_text(self, lack: str) -> str:
+    async def _reason_text(self, condition: str) -> str:
         """The autopilot's texts against arming, on request; else the missing condition."""
         vehicle, now = self._vehicle, self._vehicle.clock.monotonic()
         # PX4 sends no texts without station heartbeats, and then nothing is requested.
-        if not vehicle.quiet and vehicle.silence <= LINK_LOST:
+        if not vehicle.is_quiet and vehicle.silence <= LINK_LOST:
             await vehicle.exchange.command(dialect.MAV_CMD_RUN_PREARM_CHECKS)
             # Several arrive at once: wait for the others too.
             await vehicle.wait_for(lambda: bool(self._complaints(now)), TEXT_TIMEOUT)
             await vehicle.wait_for(lambda: False, 0.2 * TEXT_TIMEOUT)
-        earlier = self._complaints(now - TEXT_MAX_AGE) if lack.startswith(FAILED) else ""
-        unsaid = "; ".join(filter(None, dict.fromkeys((lack, self._elsewhere()))))
-        return self._complaints(now) or earlier or unsaid
+        earlier = self._complaints(now - TEXT_MAX_AGE) if condition.startswith(FAILED) else ""
+        conditions = "; ".join(filter(None, dict.fromkeys((condition, self._mode_mismatch()))))
+        return self._complaints(now) or earlier or conditions
 
     def _complaints(self, since: float) -> str:
         texts = (text for text in self._vehicle.texts.since(since) if text.startswith(COMPLAINTS))
@@ -102,10 +103,10 @@ class Readiness:
             return f"no message for {self._vehicle.silence:.1f} s"
         if self._vehicle.conflict and not self._state.armed:
             return self._vehicle.conflict
-        since = max(self._counts_from, self._vehicle.clock.monotonic() - CHECKS_OLD)
+        since = max(self._valid_from, self._vehicle.clock.monotonic() - CHECKS_OLD)
         return missing_condition(self._state, since, px4=self._vehicle.profile.px4)
 
-    def _elsewhere(self) -> str:
+    def _mode_mismatch(self) -> str:
         """The reason why ArduPilot's checks do not apply to the arming mode, '' when they do.
 
         A rover's checks pass in MANUAL 20 s before it can be armed in GUIDED.
@@ -125,9 +126,9 @@ class Readiness:
         with suppress(DeviceError):
             await self._motion.set_mode(self._vehicle.profile.arming)
 
-    async def _timeout_error(self, seconds: float, lack: str) -> DeviceError:
-        why = await self._reason_text(lack)
-        return self._vehicle.error(f"waitReady: it cannot be armed after {seconds:g} s: {why}")
+    async def _timeout_error(self, seconds: float, condition: str) -> DeviceError:
+        reason = await self._reason_text(condition)
+        return self._vehicle.error(f"waitReady: it cannot be armed after {seconds:g} s: {reason}")
 
 
 def missing_condition(state: VehicleState, since: float, *, px4: bool) -> str:
@@ -140,10 +141,10 @@ def missing_condition(state: VehicleState, since: float, *, px4: bool) -> str:
     if state.critical:
         return "its failsafe is active"
     # PX4 sets only the health bit; ArduPilot neither when checks are disabled.
-    checked = px4 or bool(sensors.present & sensors.enabled & PREARM)
-    if checked and not sensors.healthy & PREARM:
+    is_checked = px4 or bool(sensors.present & sensors.enabled & PREARM)
+    if is_checked and not sensors.healthy & PREARM:
         unhealthy = ", ".join(sensors.unhealthy)
-        return FAILED + (f"; not well: {unhealthy}" if unhealthy else "")
+        return FAILED + (f"; unhealthy: {unhealthy}" if unhealthy else "")
     if state.placed_at < since:
         return "its position is unknown"
     return ""

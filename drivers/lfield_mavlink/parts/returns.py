@@ -48,8 +48,8 @@ class Returns:
         if not self._limits.bounds_heights or key not in RETURN_HEIGHTS:
             return None
         height, name = await self.metres(RETURN_HEIGHTS[key])
-        least, least_name = await self.metres(_CLIMBS.get(key, {}))
-        return None if height is None else Climb(height, name, least or 0.0, least_name)
+        minimum, minimum_name = await self.metres(_CLIMBS.get(key, {}))
+        return None if height is None else Climb(height, name, minimum or 0.0, minimum_name)
 
     async def rally(self) -> list[Item]:
         """The rally points, if positions are limited. Raises DeviceError."""
@@ -61,9 +61,9 @@ class Returns:
         with suppress(DeviceError):
             points = await self._plans.download(PlanKind.RALLY)
         places = [Place(point.x / 1e7, point.y / 1e7, home.altitude) for point in points if home is not None]
-        return [(0.0, 0.0, 0.0), *(home.to(place) for place in places if home is not None)]
+        return [(0.0, 0.0, 0.0), *(home.vector_to(place) for place in places if home is not None)]
 
-    async def check(self, what: str) -> None:
+    async def check(self, action: str) -> None:
         """Refuses a return that may leave the limits. Raises DeviceError.
 
         The safe state and failsafes are not affected.
@@ -73,16 +73,18 @@ class Returns:
             return
         profile, climb = vehicle.profile, await self.climb()
         if climb is not None:
-            limits.check_return(what, climb.height, climb.name)
-            if climb.least:
-                limits.check_return(what, max(state.height or 0.0, 0.0) + climb.least, climb.least_name)
+            limits.check_return(action, climb.height, climb.name)
+            if climb.minimum:
+                limits.check_return(action, max(state.height or 0.0, 0.0) + climb.minimum, climb.minimum_name)
         home = state.home if state.knows_frames else None
-        at = Situation(profile.kind, profile.px4, home, state.position, climb=climb)
-        check_rally(what, await self.rally(), limits, vehicle.error, at)
+        situation = Situation(profile.kind, profile.px4, home, state.position, climb=climb)
+        check_rally(action, await self.rally(), limits, vehicle.error, situation)
         kind = await self._parameters.read("RTL_TYPE") if profile.px4 else None
         if kind is not None and int(kind) in _BY_MISSION:
             items = await self._plans.download(PlanKind.MISSION)
-            check_mission(f"{what} by its mission (RTL_TYPE {kind:g})", items, limits, vehicle.error, at)
+            check_mission(
+                f"{action} by its mission (RTL_TYPE {kind:g})", items, limits, vehicle.error, situation
+            )
 
     async def metres(self, units: Mapping[str, float]) -> tuple[float | None, str]:
         """The first of these parameters that the vehicle has, in metres, and its name. Raises DeviceError."""

@@ -6,7 +6,7 @@ home; a submarine at the surface, or in `hold` where it is. A fixed wing is at r
 position: in `hold` anywhere, under ArduPilot's RTL at home.
 
 A vehicle under a pilot's control is at rest when its motors are off. One under a failsafe's control is
-watched until it is down.
+monitored until it is on the ground.
 """
 
 from __future__ import annotations
@@ -47,49 +47,49 @@ class StandstillCheck:
             return "no message yet"
         armed_age = vehicle.clock.monotonic() - state.armed_at
         if vehicle.silence > LINK_LOST or armed_age > HEARTBEAT_MAX_AGE:
-            last = ", ".join(self._way()) if state.armed else "with its motors off"
+            last_state = ", ".join(self._description_parts()) if state.armed else "with its motors off"
             if vehicle.silence > LINK_LOST:
-                return f"no message for {vehicle.silence:.1f} s, last seen {last}"
-            return f"no heartbeat for {armed_age:.1f} s, motor state unknown; last reported {last}"
-        if not state.armed or (self._rests() and not self._is_piloted):
+                return f"no message for {vehicle.silence:.1f} s, last seen {last_state}"
+            return f"no heartbeat for {armed_age:.1f} s, motor state unknown; last reported {last_state}"
+        if not state.armed or (self._is_at_rest() and not self._is_piloted):
             return ""
-        return ", ".join(self._way())
+        return ", ".join(self._description_parts())
 
     @property
     def _is_piloted(self) -> bool:
         """Whether the vehicle is in a mode that neither this program nor a failsafe selects."""
-        return not self._motion.ours and self._state.mode not in self._vehicle.profile.fallbacks
+        return not self._motion.is_ours and self._state.mode not in self._vehicle.profile.fallbacks
 
     # -- at rest, with its motors on --------------------------------------------------------------------
 
-    def _rests(self) -> bool:
+    def _is_at_rest(self) -> bool:
         """Whether the vehicle does only what its safe state requires."""
         mode, profile = self._state.mode, self._vehicle.profile
         if mode not in profile.fallbacks:
             # The vehicle was moved out of its safe state, and may move again.
             return False
-        return _RESTS[profile.kind](self, mode)
+        return _REST_CHECKS[profile.kind](self, mode)
 
-    def _copter_rests(self, mode: str) -> bool:
+    def _is_copter_at_rest(self, mode: str) -> bool:
         return not self._state.landed and self._holds(mode) and self._slower_than(STILL)
 
-    def _plane_rests(self, mode: str) -> bool:
+    def _is_plane_at_rest(self, mode: str) -> bool:
         profile = self._vehicle.profile
         if self._state.landed:
             return False
-        fixed_wing = self._state.type == dialect.MAV_TYPE_FIXED_WING
-        circles_home = fixed_wing and mode == profile.home and not profile.px4
+        is_fixed_wing = self._state.type == dialect.MAV_TYPE_FIXED_WING
+        circles_home = is_fixed_wing and mode == profile.home and not profile.px4
         return self._holds(mode) or (circles_home and self._within(CIRCLES))
 
-    def _rover_rests(self, mode: str) -> bool:
-        boat = self._state.type == dialect.MAV_TYPE_SURFACE_BOAT
-        arrived = mode != self._vehicle.profile.home or self._within(AT_HOME)
-        return arrived and self._slower_than(DRIFTS if boat else STILL)
+    def _is_rover_at_rest(self, mode: str) -> bool:
+        is_boat = self._state.type == dialect.MAV_TYPE_SURFACE_BOAT
+        has_arrived = mode != self._vehicle.profile.home or self._within(AT_HOME)
+        return has_arrived and self._slower_than(DRIFTS if is_boat else STILL)
 
-    def _submarine_rests(self, mode: str) -> bool:
-        height, up = self._state.height, mode == self._vehicle.profile.land
-        there = height is not None and height >= -SURFACED if up else self._holds(mode)
-        return there and self._slower_than(DRIFTS)
+    def _is_submarine_at_rest(self, mode: str) -> bool:
+        height, surfaces = self._state.height, mode == self._vehicle.profile.land
+        is_in_place = height is not None and height >= -SURFACED if surfaces else self._holds(mode)
+        return is_in_place and self._slower_than(DRIFTS)
 
     def _holds(self, mode: str) -> bool:
         """Whether the safe state is to hold and the vehicle is in that mode."""
@@ -110,22 +110,24 @@ class StandstillCheck:
     def _speeds(self) -> tuple[float, float] | None:
         """Horizontal and upward speed, None when outdated."""
         state = self._state
-        known = state.speeds is not None and self._vehicle.clock.monotonic() - state.speeds_at <= SPEED_OLD
-        return state.speeds if known else None
+        is_recent = (
+            state.speeds is not None and self._vehicle.clock.monotonic() - state.speeds_at <= SPEED_OLD
+        )
+        return state.speeds if is_recent else None
 
-    def _way(self) -> list[str]:
+    def _description_parts(self) -> list[str]:
         """The position and motion of the vehicle; its mode, if that is not the commanded one."""
         state, profile = self._state, self._vehicle.profile
-        motions = [self._place(), *self._motions()]
+        motions = [self._place_text(), *self._motion_texts()]
         if self._is_piloted:
             return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *motions]
         # PX4 leaves its landing mode when it switches its motors off, and reports the mode first.
-        over = self._standing and state.mode in (profile.guided, *profile.own)
-        if state.mode != profile.safe(self._vehicle.safe_state) and not over:
+        has_ended = self._has_landed and state.mode in (profile.guided, *profile.own)
+        if state.mode != profile.safe(self._vehicle.safe_state) and not has_ended:
             motions.append(f"in {state.mode}")
         return motions
 
-    def _place(self) -> str:
+    def _place_text(self) -> str:
         state, kind = self._state, self._vehicle.profile.kind
         if kind == "rover":
             return "motors on"
@@ -137,23 +139,23 @@ class StandstillCheck:
             return "motors on" if state.landed is None else "in the air"
         return f"{_above_zero(state.height):.1f} m up"
 
-    def _motions(self) -> list[str]:
+    def _motion_texts(self) -> list[str]:
         if self._speeds is None:
             return ["at an unknown speed"]
         ground, climb = self._speeds
         motions = []
-        if abs(climb) >= LEVEL and self._vehicle.profile.kind != "rover" and not self._standing:
+        if abs(climb) >= LEVEL and self._vehicle.profile.kind != "rover" and not self._has_landed:
             motions.append(f"{'climbing' if climb > 0.0 else 'sinking'} at {abs(climb):.1f} m/s")
         if ground >= STILL:
             motions.append(f"moving at {ground:.1f} m/s")
         position = self._state.position
-        if position is not None and self._state.mode == self._vehicle.profile.home and not self._standing:
-            far = math.hypot(*position[:2])
-            motions += [f"{far:.0f} m from home"] if far > AT_HOME else []
+        if position is not None and self._state.mode == self._vehicle.profile.home and not self._has_landed:
+            distance = math.hypot(*position[:2])
+            motions += [f"{distance:.0f} m from home"] if distance > AT_HOME else []
         return motions
 
     @property
-    def _standing(self) -> bool:
+    def _has_landed(self) -> bool:
         """Whether the vehicle flies and has landed."""
         return self._vehicle.profile.flies and bool(self._state.landed)
 
@@ -163,9 +165,9 @@ def _above_zero(metres: float) -> float:
     return max(metres, 0.0) + 0.0
 
 
-_RESTS: dict[str, Callable[[StandstillCheck, str], bool]] = {
-    "copter": StandstillCheck._copter_rests,
-    "plane": StandstillCheck._plane_rests,
-    "rover": StandstillCheck._rover_rests,
-    "submarine": StandstillCheck._submarine_rests,
+_REST_CHECKS: dict[str, Callable[[StandstillCheck, str], bool]] = {
+    "copter": StandstillCheck._is_copter_at_rest,
+    "plane": StandstillCheck._is_plane_at_rest,
+    "rover": StandstillCheck._is_rover_at_rest,
+    "submarine": StandstillCheck._is_submarine_at_rest,
 }

@@ -15,7 +15,7 @@ MAX_TEXT = 256 * 1024
 
 
 class Settings:
-    """Reads and writes parameters by name; `protects` tells which ones the binding requires unchanged."""
+    """Reads and writes parameters by name; `protects` returns whether the binding requires one unchanged."""
 
     def __init__(self, vehicle: Contact, parameters: Parameters, protects: Callable[[str], bool]) -> None:
         self._vehicle, self._parameters, self._protects = vehicle, parameters, protects
@@ -38,8 +38,8 @@ class Settings:
 
     async def do_parameters(self) -> str:
         """All parameters, sorted, one per line: `NAME VALUE`."""
-        found = await self._parameters.read_all()
-        return "\n".join(f"{name} {value:.9g}" for name, value in sorted(found.items()))
+        values = await self._parameters.read_all()
+        return "\n".join(f"{name} {value:.9g}" for name, value in sorted(values.items()))
 
 
 class Files:
@@ -59,9 +59,9 @@ class Files:
         try:
             return data.decode()
         except UnicodeDecodeError:
-            instead = "; parameters() returns its contents" if path.startswith(PACKED) else ""
+            hint = "; parameters() returns its contents" if path.startswith(PACKED) else ""
             raise self._vehicle.error(
-                f"readFile: {path} contains {len(data)} bytes that are not text (UTF-8){instead}"
+                f"readFile: {path} contains {len(data)} bytes that are not text (UTF-8){hint}"
             ) from None
 
     async def do_write_file(self, path: str, text: str) -> None:

@@ -60,13 +60,13 @@ class Actuators:
             raise self._vehicle.error(
                 f"winch refused: {length:g} m at {speed:g} m/s take longer than {LONGEST_WINDING:g} s"
             )
-        before = await self._reports.request(WINCH)
+        report = await self._reports.request(WINCH)
         relative = float(dialect.WINCH_RELATIVE_LENGTH_CONTROL)
         await self._vehicle.command(
             "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True, component="winch"
         )
-        if before is not None:
-            await self._winding(before.line_length + length, speed)
+        if report is not None:
+            await self._winding(report.line_length + length, speed)
 
     async def _winding(self, goal: float, speed: float) -> None:
         """Waits until so much line is out. Raises DeviceError for one that does not move, as at its end."""
@@ -74,11 +74,11 @@ class Actuators:
         progress = Progress(patience, clock.monotonic())
 
         def is_out(report: Any) -> bool:
-            left: float = abs(report.line_length - goal)
-            if progress.is_over(left, False, clock.monotonic(), speed):
-                problem = patience.message.format(seconds=patience.bound(False, speed), left=left)
-                raise self._vehicle.error(f"winch gave up: {problem}")
-            return left <= LINE_TOLERANCE
+            remaining: float = abs(report.line_length - goal)
+            if progress.is_over(remaining, False, clock.monotonic(), speed):
+                problem = patience.message.format(seconds=patience.bound(False, speed), left=remaining)
+                raise self._vehicle.error(f"winch failed: {problem}")
+            return remaining <= LINE_TOLERANCE
 
         await self._reports.confirm("winch", WINCH, is_out, 2.0 * LONGEST_WINDING)
 
@@ -98,16 +98,16 @@ class Actuators:
         if self._vehicle.profile.px4:
             if number > 6:
                 raise self._vehicle.error("setServo requires a number from 1 to 6 on PX4")
-            others: list[float | None] = [None] * 6
-            others[number - 1] = position
-            await self._vehicle.command("setServo", dialect.MAV_CMD_DO_SET_ACTUATOR, *others, 0.0)
+            values: list[float | None] = [None] * 6
+            values[number - 1] = position
+            await self._vehicle.command("setServo", dialect.MAV_CMD_DO_SET_ACTUATOR, *values, 0.0)
             return
         pulse = round(PULSE_MIDDLE + PULSE_RANGE * position)
         await self._vehicle.command("setServo", dialect.MAV_CMD_DO_SET_SERVO, float(number), float(pulse))
         await self._reports.confirm(
             "setServo",
             SERVOS,
-            lambda now: getattr(now, f"servo{number}_raw") == pulse,
+            lambda report: getattr(report, f"servo{number}_raw") == pulse,
         )
 
     async def do_set_relay(self, number: int, on: bool) -> None:
@@ -118,5 +118,5 @@ class Actuators:
         await self._reports.confirm(
             "setRelay",
             RELAYS,
-            lambda now: bool(now.on >> number & 1) == on,
+            lambda report: bool(report.on >> number & 1) == on,
         )

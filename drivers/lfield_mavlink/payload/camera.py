@@ -23,7 +23,7 @@ from lfield_mavlink.payload.state_reports import CAPTURE, IMAGE, SETTINGS, State
 #: Modes of a camera (CAMERA_MODE).
 PICTURES, VIDEO = dialect.CAMERA_MODE_IMAGE, dialect.CAMERA_MODE_VIDEO
 #: Seconds from the command to the picture at most, and after which its report is requested again.
-SHOOTING, REPORTING = 10.0, 1.0
+PICTURE_TIMEOUT, REPORT_INTERVAL = 10.0, 1.0
 #: Seconds between two requests for the status of the camera.
 POLL = 5.0
 #: MiB below which its card counts as full; numbers of single pictures are below this.
@@ -37,20 +37,20 @@ LONGEST_SERIES = 0xFFFF
 class CameraOrder:
     """A command to a camera: its name in L, MAV_CMD and parameters, and the mode that it requires.
 
-    `shown` is whether a CAMERA_CAPTURE_STATUS shows that it was executed.
+    `is_confirmed` returns whether a CAMERA_CAPTURE_STATUS shows that it was executed.
     """
 
-    what: str
+    instruction: str
     number: int
     values: tuple[float, ...] = (0.0,)
     mode: int | None = None
-    shown: Callable[[Any], bool] = lambda _: False
+    is_confirmed: Callable[[Any], bool] = lambda _: False
 
 
 TRIGGER = CameraOrder("triggerCamera", dialect.MAV_CMD_IMAGE_START_CAPTURE, mode=PICTURES)
-START_PICTURES = replace(TRIGGER, what="startPictures", shown=lambda now: now.image_status > 1)
+START_PICTURES = replace(TRIGGER, instruction="startPictures", is_confirmed=lambda now: now.image_status > 1)
 STOP_PICTURES = CameraOrder(
-    "stopPictures", dialect.MAV_CMD_IMAGE_STOP_CAPTURE, shown=lambda now: now.image_status <= 1
+    "stopPictures", dialect.MAV_CMD_IMAGE_STOP_CAPTURE, is_confirmed=lambda now: now.image_status <= 1
 )
 START_VIDEO = CameraOrder(
     "startVideo",
@@ -60,7 +60,7 @@ START_VIDEO = CameraOrder(
     lambda now: now.video_status == 1,
 )
 STOP_VIDEO = CameraOrder(
-    "stopVideo", dialect.MAV_CMD_VIDEO_STOP_CAPTURE, shown=lambda now: now.video_status == 0
+    "stopVideo", dialect.MAV_CMD_VIDEO_STOP_CAPTURE, is_confirmed=lambda now: now.video_status == 0
 )
 
 
@@ -81,7 +81,7 @@ class Camera:
             await asyncio.sleep(POLL)
             camera = self._component
             present = self._vehicle.components.present(CAMERAS)
-            if camera not in present or self._vehicle.quiet or self._vehicle.lost:
+            if camera not in present or self._vehicle.is_quiet or self._vehicle.lost:
                 continue
             try:
                 await self._reports.request(CAPTURE, camera)
@@ -93,25 +93,27 @@ class Camera:
 
     async def do_trigger_camera(self) -> None:
         """Takes one picture; waits until the camera has stored it."""
-        what = TRIGGER.what
-        camera = self._chosen(what)
+        instruction = TRIGGER.instruction
+        camera = self._present_camera(instruction)
         if camera == AUTOPILOT:
             await self._trigger()
             return
-        first = (await self._status(what, camera)).image_count
+        first = (await self._status(instruction, camera)).image_count
         self._sequence = self._sequence % SEQUENCES + 1
         await self._order(camera, replace(TRIGGER, values=(0.0, 0.0, 1.0, float(self._sequence))))
-        end = self._vehicle.clock.monotonic() + SHOOTING
+        end = self._vehicle.clock.monotonic() + PICTURE_TIMEOUT
         while (report := self._report(camera, first)) is None:
             if self._vehicle.clock.monotonic() >= end:
-                raise self._vehicle.error(f"{what} was accepted but no picture came within {SHOOTING:g} s")
+                raise self._vehicle.error(
+                    f"{instruction} was accepted but no picture came within {PICTURE_TIMEOUT:g} s"
+                )
             self._vehicle.check_link()
-            if not await self._vehicle.wait_for(lambda: bool(self._report(camera, first)), REPORTING):
+            if not await self._vehicle.wait_for(lambda: bool(self._report(camera, first)), REPORT_INTERVAL):
                 # The report of the picture was lost, or the picture was not taken yet: then this request is
                 # refused.
                 await self._reports.request(IMAGE, camera, float(first))
         if report.capture_result != 1:
-            raise self._vehicle.error(f"{what} failed: the camera stored no picture")
+            raise self._vehicle.error(f"{instruction} failed: the camera stored no picture")
 
     async def do_start_pictures(self, interval: float, count: int) -> None:
         """Starts a series: a picture each `interval` seconds, `count` times, 0 until stopPictures."""
@@ -151,7 +153,7 @@ class Camera:
 
     def _report(self, camera: int, index: int) -> Any | None:
         """The report of a picture."""
-        message = self._reports.recent(IMAGE, camera, SHOOTING)
+        message = self._reports.recent(IMAGE, camera, PICTURE_TIMEOUT)
         return message if message is not None and message.image_index >= index else None
 
     # -- commands -------------------------------------------------------------------------------------
@@ -165,39 +167,43 @@ class Camera:
         chosen: int = self._vehicle.binding.option("camera")
         return chosen or next(iter(self._vehicle.components.known(CAMERAS)), AUTOPILOT)
 
-    def _chosen(self, what: str) -> int:
+    def _present_camera(self, instruction: str) -> int:
         """The component of the camera. Raises DeviceError when it is absent."""
         camera, present = self._component, self._vehicle.components.present(CAMERAS)
         if camera != AUTOPILOT and camera not in present:
             others = ", ".join(map(str, present)) or "none"
-            named = self._vehicle.binding.option("camera")
-            advice = "is 'camera' in its binding right?" if named else "is it switched on?"
+            is_selected = self._vehicle.binding.option("camera")
+            advice = "is 'camera' in its binding right?" if is_selected else "is it switched on?"
             raise self._vehicle.error(
-                f"{what} refused: no heartbeat of camera {camera} of system {self._vehicle.system}; "
+                f"{instruction} refused: no heartbeat of camera {camera} of system {self._vehicle.system}; "
                 f"cameras with heartbeats: {others}; {advice}"
             )
         return camera
 
     async def _trigger(self) -> None:
         """Takes one picture by the autopilot, which reports no result."""
-        capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
+        capture, legacy = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
         camera = partial(self._vehicle.command, "triggerCamera", once=True, component="camera")
         if not await camera(capture, 0.0, 0.0, 1.0, optional=True):
-            await camera(older, 0.0, 0.0, 0.0, 0.0, 1.0)
+            await camera(legacy, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     async def _switch(self, order: CameraOrder) -> None:
         """Starts or stops a series or a video; waits until the status of the camera shows it."""
-        camera = self._chosen(order.what)
-        before = math.inf if camera == AUTOPILOT else (await self._status(order.what, camera)).image_count
+        camera = self._present_camera(order.instruction)
+        previous_count = (
+            math.inf if camera == AUTOPILOT else (await self._status(order.instruction, camera)).image_count
+        )
         await self._order(camera, order)
 
-        def is_executed(now: Any) -> bool:
+        def is_executed(status: Any) -> bool:
             # A short series may be complete before its status arrives.
-            return order.shown(now) or (order.mode == PICTURES and now.image_count > before)
+            return order.is_confirmed(status) or (
+                order.mode == PICTURES and status.image_count > previous_count
+            )
 
-        await self._reports.confirm(order.what, CAPTURE, is_executed, component=camera)
+        await self._reports.confirm(order.instruction, CAPTURE, is_executed, component=camera)
 
-    async def _status(self, what: str, camera: int) -> Any:
+    async def _status(self, instruction: str, camera: int) -> Any:
         """CAMERA_CAPTURE_STATUS. Raises DeviceError."""
         end = self._vehicle.clock.monotonic() + STATE_TIMEOUT
         while self._vehicle.clock.monotonic() < end:
@@ -205,25 +211,29 @@ class Camera:
             if (status := await self._reports.request(CAPTURE, camera)) is not None:
                 return status
             await asyncio.sleep(0.1)
-        raise self._vehicle.error(f"{what}: camera {camera} does not report its status", timeout=True)
+        raise self._vehicle.error(f"{instruction}: camera {camera} does not report its status", timeout=True)
 
     async def _order(self, camera: int, order: CameraOrder) -> None:
         """Sends a command until it is accepted; changes the mode of the camera once if it is the obstacle.
 
         A repeated command may be refused since its first copy was executed: then the status decides.
         """
-        vehicle, what = self._vehicle, order.what
+        vehicle, instruction = self._vehicle, order.instruction
         for attempt in range(2):
             answer = await vehicle.exchange.command(order.number, *order.values, target=camera)
             if answer.result == dialect.MAV_RESULT_ACCEPTED:
                 return
             if answer.result is None:
-                raise vehicle.error(f"{what}: {self._name(camera)} did not answer", timeout=True)
-            if answer.attempts > 1 and camera != AUTOPILOT and order.shown(await self._status(what, camera)):
+                raise vehicle.error(f"{instruction}: {self._name(camera)} did not answer", timeout=True)
+            if (
+                answer.attempts > 1
+                and camera != AUTOPILOT
+                and order.is_confirmed(await self._status(instruction, camera))
+            ):
                 return
-            why = await self._obstacle(camera, order.mode)
-            if why or attempt or not await self._has_changed_mode(camera, order.mode):
-                raise vehicle.error(f"{what} refused: {result_text(answer.result)}{why}")
+            obstacle = await self._obstacle(camera, order.mode)
+            if obstacle or attempt or not await self._has_changed_mode(camera, order.mode):
+                raise vehicle.error(f"{instruction} refused: {result_text(answer.result)}{obstacle}")
 
     def _name(self, camera: int) -> str:
         return "the autopilot, which may have no camera," if camera == AUTOPILOT else f"camera {camera}"

@@ -28,7 +28,7 @@ class GimbalManager:
     yaw: tuple[float, float]
 
     @classmethod
-    def of(cls, message: Any) -> GimbalManager:
+    def from_message(cls, message: Any) -> GimbalManager:
         """The manager described by GIMBAL_MANAGER_INFORMATION."""
         return cls(
             message.get_srcComponent(),
@@ -42,11 +42,11 @@ class GimbalManager:
         """The component that reports the attitude."""
         return self.component if self.device <= MOST_ATTACHED else self.device
 
-    def why_beyond(self, pitch: float, yaw: float) -> str:
+    def excess_reason(self, pitch: float, yaw: float) -> str:
         """The angle that is out of range, in words; '' for none. A range without a width is unknown."""
-        for name, angle, (least, most) in (("pitch", pitch, self.pitch), ("yaw", yaw, self.yaw)):
-            if least < most and not least - MARGIN <= angle <= most + MARGIN:
-                return f"a {name} of {angle:.2f} is outside its range of {least:.2f} to {most:.2f} rad"
+        for name, angle, (minimum, maximum) in (("pitch", pitch, self.pitch), ("yaw", yaw, self.yaw)):
+            if minimum < maximum and not minimum - MARGIN <= angle <= maximum + MARGIN:
+                return f"a {name} of {angle:.2f} is outside its range of {minimum:.2f} to {maximum:.2f} rad"
         return ""
 
 
@@ -59,10 +59,10 @@ class GimbalAttitude:
     yaw: float
 
     @classmethod
-    def of(cls, message: Any, heading: float) -> GimbalAttitude | None:
+    def from_message(cls, message: Any, heading: float) -> GimbalAttitude | None:
         """The attitude in GIMBAL_DEVICE_ATTITUDE_STATUS; None for an unknown attitude.
 
-        Its yaw is from north or from the nose, as flags tell; without them, as the lock of its yaw tells.
+        Flags define whether its yaw is from north or from the nose; without them, the lock of its yaw does.
         """
         if not all(map(math.isfinite, message.q)):
             return None
@@ -74,14 +74,14 @@ class GimbalAttitude:
             yaw = math.remainder(yaw - heading, math.tau)
         return cls(roll, pitch, yaw)
 
-    def away(self, pitch: float, yaw: float) -> float:
+    def deviation(self, pitch: float, yaw: float) -> float:
         """The distance from a direction: the larger of both differences."""
         return max(abs(self.pitch - pitch), abs(math.remainder(self.yaw - yaw, math.tau)))
 
 
-def direction(way: Vector) -> tuple[float, float]:
+def direction(vector: Vector) -> tuple[float, float]:
     """Pitch above the horizon and heading clockwise from north of a vector north, east, down."""
-    north, east, down = way
+    north, east, down = vector
     return math.atan2(-down, math.hypot(north, east)), math.atan2(east, north)
 
 

@@ -59,22 +59,24 @@ class StateReports:
 
     async def confirm(
         self,
-        what: str,
+        instruction: str,
         kind: int,
         agrees: Callable[[Any], bool],
-        bound: float = STATE_TIMEOUT,
+        timeout: float = STATE_TIMEOUT,
         component: int = AUTOPILOT,
     ) -> None:
         """Waits until a message confirms an effect; returns at once if the component does not send that
         message.
         """
-        end = self._vehicle.clock.monotonic() + bound
+        end = self._vehicle.clock.monotonic() + timeout
         message = await self.request(kind, component)
         if message is None:
             return
         while message is None or not agrees(message):
             if self._vehicle.clock.monotonic() >= end:
-                raise self._vehicle.error(f"{what} was accepted but did not happen within {bound:.1f} s")
+                raise self._vehicle.error(
+                    f"{instruction} was accepted but did not happen within {timeout:.1f} s"
+                )
             self._vehicle.check_link()
             await asyncio.sleep(PAUSE)
             message = await self.request(kind, component)

@@ -43,8 +43,8 @@ class AutopilotVersion:
         version = await self._request()
         if version is None:
             return ""
-        if long := bytes(version.uid2).rstrip(b"\0"):
-            return f"uid {long.hex()}"
+        if uid2 := bytes(version.uid2).rstrip(b"\0"):
+            return f"uid {uid2.hex()}"
         return f"uid {version.uid:x}" if version.uid else ""
 
     async def renew(self) -> Any | None:

@@ -135,13 +135,13 @@ def entries(data: bytes) -> tuple[list[FileEntry], int]:
 
     Skipped and invalid entries count too.
     """
-    found: list[FileEntry] = []
+    listed: list[FileEntry] = []
     texts = [part for part in data.split(b"\0") if part]
     for text in texts:
-        kind, (name, _, rest) = text[:1], text[1:].decode(errors="replace").partition("\t")
-        size = rest.partition("\t")[0]
+        kind, (name, _, attributes) = text[:1], text[1:].decode(errors="replace").partition("\t")
+        size = attributes.partition("\t")[0]
         if kind == b"D" and name not in ("", ".", ".."):
-            found.append(FileEntry(name, True))
+            listed.append(FileEntry(name, True))
         elif kind == b"F" and name:
-            found.append(FileEntry(name, False, int(size) if size.isascii() and size.isdigit() else 0))
-    return found, len(texts)
+            listed.append(FileEntry(name, False, int(size) if size.isascii() and size.isdigit() else 0))
+    return listed, len(texts)

@@ -23,21 +23,21 @@ HERE = 0x7FFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class Climb:
-    """The height of a return: `height` above its destination, after a climb by at least `least`; metres, with
-    parameter names.
+    """The height of a return: `height` above its destination, after a climb by at least `minimum`; metres,
+    with parameter names.
     """
 
     height: float
     name: str
-    least: float = 0.0
-    least_name: str = ""
+    minimum: float = 0.0
+    minimum_name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
     """Data of the vehicle for the check of its mission.
 
-    `home` is None while unknown, `here` (metres of home) likewise. `loiter` is the default radius of a circle
+    `home` and `position` (metres of home) are None while unknown. `loiter` is the default radius of a circle
     in metres, `climb` the height of a return; None if unknown. `rally` are its rally points. `starts_here`:
     the mission starts now at the vehicle's position. `first_number` is the number of the first item in
     messages and jumps; None for a vehicle: messages count from 0, jumps as its autopilot does.
@@ -46,7 +46,7 @@ class Situation:
     kind: str
     px4: bool
     home: Place | None
-    here: Vector | None
+    position: Vector | None
     loiter: float | None = None
     climb: Climb | None = None
     rally: Sequence[Item] = ()
@@ -66,15 +66,15 @@ class MissionCheck:
 
     def __init__(
         self,
-        what: str,
+        subject: str,
         items: Sequence[Item],
         limits: Limits,
         error: Callable[[str], DeviceError],
         situation: Situation,
     ) -> None:
-        self._prefix = f"{what}: " if what else ""
+        self._prefix = f"{subject}: " if subject else ""
         self._items, self._limits, self._error = items, limits, error
-        self._at = situation
+        self._situation = situation
         self._path: list[tuple[int, Vector]] | None = None
 
     # -- structure ----------------------------------------------------------------------------------------
@@ -83,7 +83,7 @@ class MissionCheck:
         """Raises DeviceError when an item is invalid regardless of limits."""
         if item.command in PLACED:
             self._check_place(number, item)
-        first = self._at.first_target
+        first = self._situation.first_target
         jumps = (dialect.MAV_CMD_DO_JUMP, dialect.MAV_CMD_DO_SET_MISSION_CURRENT)
         target = item.parameters[0]
         # NaN is in no range.
@@ -100,12 +100,12 @@ class MissionCheck:
             )
 
     def _check_place(self, number: int, item: Item) -> None:
-        beyond = (item.x != HERE and abs(item.x) > 900_000_000) or (
+        is_beyond = (item.x != HERE and abs(item.x) > 900_000_000) or (
             item.y != HERE and abs(item.y) > 1_800_000_000
         )
         if (item.x == HERE) != (item.y == HERE):
             raise self._error_for(number, item, "one of latitude and longitude is missing")
-        if beyond or math.isinf(item.z):
+        if is_beyond or math.isinf(item.z):
             raise self._error_for(
                 number,
                 item,
@@ -183,20 +183,22 @@ class MissionCheck:
     def spline(self, number: int, item: Item) -> None:
         """Checks a curve that extends beyond its positions."""
         self._check_goal(number, item)
-        for start, before in self._starts(number, item):
-            goal, after = self._position(item), self._after(number)
+        for start, before in self._curve_starts(number, item):
+            goal, after = self._position(item), self._next_position(number)
             for corner in spline_corners(before, start, goal, after):
-                self._limits.check_goal(f"{self._prefix}the curve of item {self._shown(number)}", corner)
+                self._limits.check_goal(
+                    f"{self._prefix}the curve of item {self._item_number(number)}", corner
+                )
 
     def arc(self, number: int, item: Item) -> None:
         """Checks an arc from the previous position to this one; parameter 1 is its angle in degrees."""
         self._check_goal(number, item)
-        for start, _ in self._starts(number, item):
+        for start, _ in self._curve_starts(number, item):
             corners = arc_corners(start, self._position(item), item.parameters[0])
             if corners is None:
                 raise self._error_for(number, item, f"there is no arc of {item.parameters[0]:g} degrees")
             for corner in corners:
-                self._limits.check_goal(f"{self._prefix}the arc of item {self._shown(number)}", corner)
+                self._limits.check_goal(f"{self._prefix}the arc of item {self._item_number(number)}", corner)
 
     def speed(self, number: int, item: Item) -> None:
         """Checks airspeed (0) and ground speed (1), not climb (2) and descent (3).
@@ -206,9 +208,9 @@ class MissionCheck:
         """
         kind, speed, throttle = item.parameters[:3]
         climbs = kind in (2.0, 3.0)
-        if (climbs and self._at.kind != "rover") or not self._limits.bounds_speed:
+        if (climbs and self._situation.kind != "rover") or not self._limits.bounds_speed:
             return
-        if not (climbs or kind in (0.0, 1.0)) or (throttle > 0.0 and self._at.kind != "copter"):
+        if not (climbs or kind in (0.0, 1.0)) or (throttle > 0.0 and self._situation.kind != "copter"):
             self.refuse(number, item)
         if speed != -1.0:
             self._check_speed(number, item, speed)
@@ -220,23 +222,27 @@ class MissionCheck:
 
     def return_home(self, number: int, item: Item) -> None:
         """Checks a return to home, or to a rally point, at the autopilot's own height."""
-        if self._limits.bounds_heights and self._at.kind != "rover":
-            climb = self._at.climb
+        if self._limits.bounds_heights and self._situation.kind != "rover":
+            climb = self._situation.climb
             if climb is None:
                 raise self._error_for(number, item, "the height of its return is not known")
-            self._limits.check_return(f"{self._prefix}item {self._shown(number)}", climb.height, climb.name)
-            if climb.least:
+            self._limits.check_return(
+                f"{self._prefix}item {self._item_number(number)}", climb.height, climb.name
+            )
+            if climb.minimum:
                 highest = max((-place[2] for _, place in self._places()), default=0.0)
                 self._limits.check_return(
-                    f"{self._prefix}item {self._shown(number)}", highest + climb.least, climb.least_name
+                    f"{self._prefix}item {self._item_number(number)}",
+                    highest + climb.minimum,
+                    climb.minimum_name,
                 )
-        for index, point in enumerate(self._at.rally):
+        for index, point in enumerate(self._situation.rally):
             self.rally_point(index, point)
 
     def rally_point(self, number: int, item: Item) -> None:
         """Checks a destination of a return; PX4's heights of a return are relative to its destination."""
-        if self._at.px4 and self._at.climb is not None:
-            item = replace(item, z=item.z + self._at.climb.height)
+        if self._situation.px4 and self._situation.climb is not None:
+            item = replace(item, z=item.z + self._situation.climb.height)
         self._check_goal(number, item, subject=f"{self._prefix}rally point {number}")
 
     def fence(self, number: int, item: Item) -> None:
@@ -249,10 +255,10 @@ class MissionCheck:
         none.
         """
         highest, farthest = item.parameters[2:4]
-        if highest and self._at.home is not None:
-            self._check_height(number, item, highest - self._at.home.altitude)
+        if highest and self._situation.home is not None:
+            self._check_height(number, item, highest - self._situation.home.altitude)
         if farthest:
-            self._limits.check_goal(f"{self._prefix}item {self._shown(number)}", (farthest, 0.0, 0.0))
+            self._limits.check_goal(f"{self._prefix}item {self._item_number(number)}", (farthest, 0.0, 0.0))
 
     # -- steps --------------------------------------------------------------------------------------------
 
@@ -262,37 +268,37 @@ class MissionCheck:
         if not self._limits.bound_places:
             return
         height = 0.0
-        if self._limits.bounds_heights and self._at.kind != "rover":
-            known = self._above_home(item, item.z)
-            if known is None and not sinks:
+        if self._limits.bounds_heights and self._situation.kind != "rover":
+            item_height = self._above_home(item, item.z)
+            if item_height is None and not sinks:
                 raise self._error_for(number, item, "the height of this item is not known")
-            height = 0.0 if known is None else known
-        away = self._away(number, item)
-        if away is None and extent and self._limits.bounds_radius:
+            height = 0.0 if item_height is None else item_height
+        offset = self._offset(number, item)
+        if offset is None and extent and self._limits.bounds_radius:
             raise self._error_for(number, item, "it circles its position at that time, which is not known")
-        north, east = away or (0.0, 0.0)
-        label = subject or f"{self._prefix}waypoint {self._shown(number)}"
+        north, east = offset or (0.0, 0.0)
+        label = subject or f"{self._prefix}waypoint {self._item_number(number)}"
         self._limits.check_goal(label, (north, east, -height), extent if self._limits.bounds_radius else 0.0)
 
-    def _away(self, number: int, item: Item) -> tuple[float, float] | None:
+    def _offset(self, number: int, item: Item) -> tuple[float, float] | None:
         """Metres north and east of home; None for the vehicle's position at that time."""
         home = self._home
         if not (item.above_home or item.above_sea or item.above_terrain):
             raise self._error_for(number, item, f"the position of an item in frame {item.frame} is not known")
-        if HERE in (item.x, item.y) or (not self._at.px4 and not (item.x or item.y)):
+        if HERE in (item.x, item.y) or (not self._situation.px4 and not (item.x or item.y)):
             return None
-        north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
+        north, east, _ = home.vector_to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
         return north, east
 
-    def _shown(self, number: int) -> int:
+    def _item_number(self, number: int) -> int:
         """The number of an item in messages."""
-        return number + (self._at.first_number or 0)
+        return number + (self._situation.first_number or 0)
 
     @property
     def _home(self) -> Place:
-        if self._at.home is None:
+        if self._situation.home is None:
             raise self._error(f"{self._prefix}the home position is unknown; call waitReady()")
-        return self._at.home
+        return self._situation.home
 
     def _above_home(self, item: Item, height: float) -> float | None:
         """A height in the frame of an item as metres above home; None if unknown."""
@@ -303,37 +309,37 @@ class MissionCheck:
         return height - self._home.altitude if item.above_sea else None
 
     def _check_height(self, number: int, item: Item, height: float | None) -> None:
-        if not self._limits.bounds_heights or self._at.kind == "rover":
+        if not self._limits.bounds_heights or self._situation.kind == "rover":
             return
         if height is None:
             raise self._error_for(number, item, "the height of this item is not known")
         if not math.isnan(height):
-            self._limits.check_goal(f"{self._prefix}item {self._shown(number)}", (0.0, 0.0, -height))
+            self._limits.check_goal(f"{self._prefix}item {self._item_number(number)}", (0.0, 0.0, -height))
 
     def _check_speed(self, number: int, item: Item, speed: float) -> None:
         if not self._limits.bounds_speed:
             return
         if not speed >= 0.0:
             raise self._error_for(number, item, f"{speed:g} is not known to be within the speed limit")
-        self._limits.check_speed(f"{self._prefix}item {self._shown(number)}", speed)
+        self._limits.check_speed(f"{self._prefix}item {self._item_number(number)}", speed)
 
     def _circle(self, item: Item, radius: float) -> float:
         """The radius flown around an item; a copter stays on the spot except for LOITER_TURNS."""
-        if self._at.kind == "copter" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
+        if self._situation.kind == "copter" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
             return 0.0
-        if self._at.kind == "rover" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
+        if self._situation.kind == "rover" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
             return 0.0
         if radius and not math.isnan(radius):
             return abs(radius)
-        return math.inf if self._at.loiter is None else self._at.loiter
+        return math.inf if self._situation.loiter is None else self._situation.loiter
 
     # -- curves -------------------------------------------------------------------------------------------
 
     def _position(self, item: Item) -> Vector:
         """The position of a checked item; without a height if heights are not limited."""
-        away = self._away(0, item)
+        offset = self._offset(0, item)
         height = self._above_home(item, item.z) or 0.0
-        north, east = away or (self._at.here or (0.0, 0.0, 0.0))[:2]
+        north, east = offset or (self._situation.position or (0.0, 0.0, 0.0))[:2]
         return (north, east, -height)
 
     def _places(self) -> list[tuple[int, Vector]]:
@@ -346,7 +352,7 @@ class MissionCheck:
             ]
         return self._path
 
-    def _starts(self, number: int, item: Item) -> list[tuple[Vector, Vector | None]]:
+    def _curve_starts(self, number: int, item: Item) -> list[tuple[Vector, Vector | None]]:
         """Possible starting points of a curve, each with the previous position. Raises DeviceError if
         unknown.
         """
@@ -357,17 +363,17 @@ class MissionCheck:
         before = [place for index, place in self._places() if index < number]
         starts: list[tuple[Vector, Vector | None]] = []
         if before:
-            starts.append((before[-1], before[-2] if len(before) > 1 else self._at.here))
-        if self._at.here is not None:
-            starts.append((self._at.here, None))
-        elif self._at.starts_here:
+            starts.append((before[-1], before[-2] if len(before) > 1 else self._situation.position))
+        if self._situation.position is not None:
+            starts.append((self._situation.position, None))
+        elif self._situation.starts_here:
             raise self._error_for(number, item, "the position where its curve may start is unknown")
         return starts
 
-    def _after(self, number: int) -> Vector | None:
+    def _next_position(self, number: int) -> Vector | None:
         return next((place for index, place in self._places() if index > number), None)
 
     def _error_for(self, number: int, item: Item, reason: str) -> DeviceError:
         return self._error(
-            f"{self._prefix}item {self._shown(number)}, {command_name(item.command)}, refused: {reason}"
+            f"{self._prefix}item {self._item_number(number)}, {command_name(item.command)}, refused: {reason}"
         )

@@ -28,12 +28,12 @@ def spline_corners(
     """
     yield start
     yield goal
-    for far in (goal, start) if before is not None else ():
+    for end in (goal, start) if before is not None else ():
         assert before is not None
-        yield _plus(start, _minus(far, before), 1.0 / 3.0)
-    for near in (start, goal) if after is not None else ():
+        yield _plus(start, _minus(end, before), 1.0 / 3.0)
+    for end in (start, goal) if after is not None else ():
         assert after is not None
-        yield _plus(goal, _minus(after, near), -1.0 / 3.0)
+        yield _plus(goal, _minus(after, end), -1.0 / 3.0)
 
 
 def arc_corners(start: Vector, goal: Vector, degrees: float) -> Sequence[Vector] | None:
@@ -50,19 +50,19 @@ def arc_corners(start: Vector, goal: Vector, degrees: float) -> Sequence[Vector]
     half = math.radians(degrees) / 2.0
     radius = chord / (2.0 * math.sin(abs(half)))
     # To the right of the chord for a clockwise arc of less than half a turn.
-    aside = math.copysign(radius, half) * math.cos(half)
+    sideways = math.copysign(radius, half) * math.cos(half)
     centre = (
-        (start[0] + goal[0]) / 2.0 - east / chord * aside,
-        (start[1] + goal[1]) / 2.0 + north / chord * aside,
+        (start[0] + goal[0]) / 2.0 - east / chord * sideways,
+        (start[1] + goal[1]) / 2.0 + north / chord * sideways,
     )
     count = max(2, math.ceil(abs(2.0 * half) / STEP))
     # Outside the circle, so that the chords between the corners do not intersect it.
-    beyond = 1.0 / math.cos(abs(half) / count)
+    scale = 1.0 / math.cos(abs(half) / count)
     out = (start[0] - centre[0], start[1] - centre[1])
     corners = [start, goal]
     for number in range(count + 1):
         turn = 2.0 * half * number / count
-        cos, sin = beyond * math.cos(turn), beyond * math.sin(turn)
+        cos, sin = scale * math.cos(turn), scale * math.sin(turn)
         corners.append(
             (
                 centre[0] + out[0] * cos - out[1] * sin,
@@ -77,5 +77,5 @@ def _minus(a: Vector, b: Vector) -> Vector:
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-def _plus(a: Vector, way: Vector, share: float) -> Vector:
-    return (a[0] + share * way[0], a[1] + share * way[1], a[2] + share * way[2])
+def _plus(a: Vector, vector: Vector, share: float) -> Vector:
+    return (a[0] + share * vector[0], a[1] + share * vector[1], a[2] + share * vector[2])

@@ -105,7 +105,7 @@ RULES: Mapping[int, Rule] = {
 
 
 def check_mission(
-    what: str,
+    subject: str,
     items: Sequence[Item],
     limits: Limits,
     error: Callable[[str], DeviceError],
@@ -115,7 +115,7 @@ def check_mission(
 
     `error` creates the exception for a reason. Raises DeviceError.
     """
-    check = MissionCheck(what, items, limits, error, situation)
+    check = MissionCheck(subject, items, limits, error, situation)
     for number, item in enumerate(items):
         check.structure(number, item)
     for number, item in enumerate(items if limits.bounds_anything else ()):
@@ -123,13 +123,13 @@ def check_mission(
 
 
 def check_rally(
-    what: str,
+    subject: str,
     points: Sequence[Item],
     limits: Limits,
     error: Callable[[str], DeviceError],
     situation: Situation,
 ) -> None:
     """Refuses rally points beyond the limits, since a return would lead there. Raises DeviceError."""
-    check = MissionCheck(what, points, limits, error, situation)
+    check = MissionCheck(subject, points, limits, error, situation)
     for number, point in enumerate(points):
         check.rally_point(number, point)

@@ -24,11 +24,11 @@ from lfield_mavlink.services.peer import Inbox, Mail, Peer
 
 #: Seconds to wait for an answer, and attempts: on a bad radio every third request has no answer, and silence
 #: means an unknown name.
-PATIENCE, QUESTIONS = 0.2, 15
+ANSWER_TIMEOUT, ATTEMPTS = 0.2, 15
 #: Seconds of silence after which a list has ended, and the number of gaps requested at a time.
 LIST_SILENCE, GAPS = 1.0, 50
 #: Rounds without an answer before a list has failed, and its longest time in seconds.
-ROUNDS, LONGEST = 6, 180.0
+ROUNDS, MAX_LIST_TIME = 6, 180.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,19 +44,19 @@ class Parameters:
     """The parameters of one vehicle. `encoding` determines how it sends integers; called once."""
 
     def __init__(self, peer: Peer, encoding: Callable[[], Awaitable[Encoding]]) -> None:
-        self._peer, self._find_encoding = peer, encoding
+        self._peer, self._request_encoding = peer, encoding
         self._encoding: Encoding | None = None
-        self._finding = asyncio.Lock()
+        self._encoding_lock = asyncio.Lock()
         self._inbox = Inbox(peer, dialect.MAVLINK_MSG_ID_PARAM_VALUE)
-        self._writing = asyncio.Lock()
+        self._write_lock = asyncio.Lock()
 
     async def read(self, name: str) -> int | float | None:
         """The value; None without an answer within 3 s, as for an unknown name.
 
         Raises DeviceError for an invalid name.
         """
-        found = await self._read(name)
-        return None if found is None else found.value
+        parameter = await self._read(name)
+        return None if parameter is None else parameter.value
 
     async def read_any(self, names: Iterable[str]) -> tuple[str, float | None]:
         """Requests all names of a parameter by version; the first that is answered, with its value.
@@ -67,24 +67,24 @@ class Parameters:
         async def ask(name: str) -> tuple[str, float | None]:
             return name, await self.read(name)
 
-        asking = [asyncio.ensure_future(ask(name)) for name in names]
+        requests = [asyncio.ensure_future(ask(name)) for name in names]
         try:
-            for answer in asyncio.as_completed(asking):
+            for answer in asyncio.as_completed(requests):
                 name, present = await answer
                 if present is not None:
                     return name, present
         finally:
-            for question in asking:
-                question.cancel()
+            for request in requests:
+                request.cancel()
         return "", None
 
     async def write(self, name: str, value: float) -> None:
         """Sets a parameter; returns when the autopilot has reported the new value. Raises DeviceError."""
-        found = await self._read(name)
-        if found is None:
+        parameter = await self._read(name)
+        if parameter is None:
             raise self.unknown(name)
-        async with self._writing:
-            await self._write(found, value, await self._known_encoding())
+        async with self._write_lock:
+            await self._write(parameter, value, await self._known_encoding())
 
     async def read_all(self) -> dict[str, int | float]:
         """Every parameter by its name; lost ones are requested again. Raises DeviceError."""
@@ -95,13 +95,13 @@ class Parameters:
     def unknown(self, name: str) -> Exception:
         """The exception for a parameter without an answer."""
         return self._peer.error(
-            f"no answer about a parameter {name} in {PATIENCE * QUESTIONS:g} s; is the name correct?"
+            f"no answer about a parameter {name} in {ANSWER_TIMEOUT * ATTEMPTS:g} s; is the name correct?"
         )
 
     async def _known_encoding(self) -> Encoding:
-        async with self._finding:
+        async with self._encoding_lock:
             if self._encoding is None:
-                self._encoding = await self._find_encoding()
+                self._encoding = await self._request_encoding()
             return self._encoding
 
     async def _read(self, name: str) -> Parameter | None:
@@ -110,52 +110,54 @@ class Parameters:
         encoding = await self._known_encoding()
         ask = dialect.MAVLink_param_request_read_message(self._peer.system, AUTOPILOT, name.encode(), -1)
         with self._inbox.open() as mail:
-            for _ in range(QUESTIONS):
+            for _ in range(ATTEMPTS):
                 self._peer.send(ask)
-                message = await mail.find(lambda m: _parameter(m, encoding, name) is not None, PATIENCE)
+                message = await mail.find(lambda m: _parameter(m, encoding, name) is not None, ANSWER_TIMEOUT)
                 if message is not None:
                     return _parameter(message, encoding, name)
         return None
 
-    async def _write(self, old: Parameter, value: float, encoding: Encoding) -> None:
+    async def _write(self, previous: Parameter, value: float, encoding: Encoding) -> None:
         try:
-            raw = encode(value, old.kind, encoding)
+            raw = encode(value, previous.kind, encoding)
         except ValueError as error:
-            raise self._peer.error(f"{old.name}: {error}") from None
-        expected = decode(raw, old.kind, encoding)
+            raise self._peer.error(f"{previous.name}: {error}") from None
+        expected = decode(raw, previous.kind, encoding)
         answers: list[Parameter] = []
 
         def is_set(message: Any) -> bool:
             # An answer to an earlier request may come late: only the new value ends the wait.
-            if (now := _parameter(message, encoding, old.name)) is not None:
-                answers.append(now)
-            return now is not None and now.value == expected
+            if (answer := _parameter(message, encoding, previous.name)) is not None:
+                answers.append(answer)
+            return answer is not None and answer.value == expected
 
         with self._inbox.open() as mail:
-            for _ in range(QUESTIONS):
-                self._peer.send(param_set(self._peer.system, old.name, raw, old.kind))
-                if await mail.find(is_set, PATIENCE) is not None:
+            for _ in range(ATTEMPTS):
+                self._peer.send(param_set(self._peer.system, previous.name, raw, previous.kind))
+                if await mail.find(is_set, ANSWER_TIMEOUT) is not None:
                     return
         if answers:
-            raise self._peer.error(f"{old.name} could not be set to {value:g}: it is {answers[-1].value:g}")
-        raise self._peer.error(f"{old.name}: no answer to setting it to {value:g}", timeout=True)
+            raise self._peer.error(
+                f"{previous.name} could not be set to {value:g}: it is {answers[-1].value:g}"
+            )
+        raise self._peer.error(f"{previous.name}: no answer to setting it to {value:g}", timeout=True)
 
     async def _read_all(self, mail: Mail, encoding: Encoding) -> dict[str, int | float]:
         listed: dict[int, Parameter] = {}
         count = 0
         self._peer.send(dialect.MAVLink_param_request_list_message(self._peer.system, AUTOPILOT))
-        idle, now = 0, asyncio.get_running_loop().time
-        end = now() + LONGEST
-        while idle < ROUNDS and now() < end:
+        silent_rounds, now = 0, asyncio.get_running_loop().time
+        end = now() + MAX_LIST_TIME
+        while silent_rounds < ROUNDS and now() < end:
             message = await mail.next(LIST_SILENCE)
             if message is None:
-                idle += 1
+                silent_rounds += 1
                 self._request_gaps(listed, count)
                 continue
             parameter = _parameter(message, encoding)
             # Values sent for other reasons have no position in the list (index 65535).
             if parameter is not None and message.param_index < message.param_count:
-                idle = idle if message.param_index in listed else 0
+                silent_rounds = silent_rounds if message.param_index in listed else 0
                 listed[message.param_index], count = parameter, message.param_count
             if count and len(listed) >= count:
                 return {parameter.name: parameter.value for parameter in listed.values()}

@@ -49,21 +49,21 @@ class Mail:
         if not self._messages.full():
             self._messages.put_nowait(message)
 
-    async def next(self, bound: float) -> Any | None:
-        """The next message; None after `bound` seconds. Raises DeviceError."""
-        return await self.find(lambda _: True, bound)
+    async def next(self, timeout: float) -> Any | None:
+        """The next message; None after `timeout` seconds. Raises DeviceError."""
+        return await self.find(lambda _: True, timeout)
 
-    async def find(self, accepts: Callable[[Any], bool], bound: float) -> Any | None:
-        """The next matching message, others are dropped; None after `bound` seconds.
+    async def find(self, accepts: Callable[[Any], bool], timeout: float) -> Any | None:
+        """The next matching message, others are dropped; None after `timeout` seconds.
 
         Raises DeviceError as soon as the link is lost.
         """
         now = asyncio.get_running_loop().time
-        end = now() + bound
+        end = now() + timeout
         # A rounding error of the clock must not cause a wait.
-        while (left := end - now()) > 1e-9:
+        while (remaining := end - now()) > 1e-9:
             try:
-                async with asyncio.timeout(min(left, LINK_CHECK_INTERVAL)):
+                async with asyncio.timeout(min(remaining, LINK_CHECK_INTERVAL)):
                     message = await self._messages.get()
             except TimeoutError:
                 self._peer.check_link()

@@ -59,7 +59,7 @@ class Item:
     parameters: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     @classmethod
-    def of(cls, message: Any) -> Item:
+    def from_message(cls, message: Any) -> Item:
         """The item in a MISSION_ITEM_INT."""
         values = (message.param1, message.param2, message.param3, message.param4)
         return cls(message.command, message.frame, message.x, message.y, message.z, values)
@@ -86,7 +86,7 @@ class Item:
         """Whether `z` is a height above the terrain."""
         return bool(_TWINS.get(self.frame, self.frame) == dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT)
 
-    def same(self, other: Item) -> bool:
+    def matches(self, other: Item) -> bool:
         """Whether another item is this one after storage in an autopilot.
 
         The first parameter is compared (hold time, radius, number of corners); autopilots drop others that
@@ -114,11 +114,11 @@ def place(latitude: float, longitude: float) -> tuple[int, int]:
     return round(latitude * 1e7), round(longitude * 1e7)
 
 
-def points(values: Sequence[float], width: int, what: str) -> Iterator[Sequence[float]]:
+def points(values: Sequence[float], width: int, noun: str) -> Iterator[Sequence[float]]:
     """Splits a flat array into points of `width` numbers. Raises ValueError."""
     if not values or len(values) % width:
         names = "{latitude, longitude, height}" if width == 3 else "{latitude, longitude}"
-        raise ValueError(f"{what} need {names} each, which {len(values)} numbers are not")
+        raise ValueError(f"{noun} need {names} each, which {len(values)} numbers are not")
     return (values[start : start + width] for start in range(0, len(values), width))
 
 

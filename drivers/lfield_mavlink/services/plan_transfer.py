@@ -1,8 +1,8 @@
 """MAVLink mission protocol: upload and download of plans; every upload is read back and compared.
 
 In an upload the vehicle requests item after item, repeats lost requests, and ends with an acknowledgement.
-That alone is not trusted, since lost and repeated packets can truncate a plan (MAVSDK #1745): the downloaded
-plan is compared.
+The acknowledgement alone is not sufficient, since lost and repeated packets can truncate a plan (MAVSDK
+#1745): the plan is downloaded and compared.
 
 https://mavlink.io/en/services/mission.html; measured: ArduPilot uses the deprecated MISSION_REQUEST and
 stores home as item 0 of its missions.
@@ -19,12 +19,12 @@ from lfield.driver import DeviceError
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.services.peer import Inbox, Peer
 from lfield_mavlink.services.plan_items import HOME, Item, PlanKind
-from lfield_mavlink.services.plan_upload import QUESTIONS, REQUESTS, SILENCES, Upload
+from lfield_mavlink.services.plan_upload import MAX_SILENCES, MAX_SILENCES_WITHIN, REQUESTS, Upload
 
 T = TypeVar("T")
 
 #: Seconds to wait for an answer.
-PATIENCE = 0.5
+ANSWER_TIMEOUT = 0.5
 #: Attempts for an upload.
 ATTEMPTS = 3
 #: Maximum number of downloaded items.
@@ -58,17 +58,17 @@ class PlanTransfer:
         wire = [HOME, *items] if self._has_home(kind) else list(items)
         async with self._lock:
             try:
-                await self._guarded(kind, self._upload(kind, wire))
+                await self._run(kind, self._upload(kind, wire))
             except DeviceError as error:
                 if self._has_home(kind) and error.kind != "DeviceTimeoutException":
                     with suppress(DeviceError):
-                        await self._guarded(kind, self._upload(kind, [HOME]))
+                        await self._run(kind, self._upload(kind, [HOME]))
                 raise
 
     async def download(self, kind: PlanKind) -> list[Item]:
         """The plan on the vehicle, without home. Raises DeviceError."""
         async with self._lock:
-            items = await self._guarded(kind, self._download(kind))
+            items = await self._run(kind, self._download(kind))
         return items[1:] if self._has_home(kind) else items
 
     async def clear(self, kind: PlanKind) -> None:
@@ -77,16 +77,16 @@ class PlanTransfer:
             await self.upload(kind, [])
             return
         async with self._lock:
-            await self._guarded(kind, self._clear(kind))
+            await self._run(kind, self._clear(kind))
 
     def _has_home(self, kind: PlanKind) -> bool:
         return kind is PlanKind.MISSION and self._home_first()
 
-    async def _guarded(self, kind: PlanKind, work: Coroutine[Any, Any, T]) -> T:
+    async def _run(self, kind: PlanKind, operation: Coroutine[Any, Any, T]) -> T:
         """Runs a part of the protocol; sends a cancellation to the vehicle if it ends early."""
         with self._inbox.open() as self._mail:
             try:
-                return await work
+                return await operation
             except BaseException:
                 self._peer.send(self._ack(kind, _CANCELLED))
                 raise
@@ -95,23 +95,23 @@ class PlanTransfer:
 
     async def _upload(self, kind: PlanKind, wire: Sequence[Item]) -> None:
         skip = 1 if self._has_home(kind) else 0
-        why = ""
+        reason = ""
         for _ in range(ATTEMPTS):
-            why = await self._offer(kind, wire)
-            if why:
+            reason = await self._offer(kind, wire)
+            if reason:
                 continue
-            found = await self._download(kind)
-            if _same(wire[skip:], found[skip:]):
+            stored = await self._download(kind)
+            if _are_equal(wire[skip:], stored[skip:]):
                 return
-            why = f"it has {len(found)} items, which are not the {len(wire)} sent"
-        raise self._peer.error(f"the {kind.noun} could not be uploaded in {ATTEMPTS} attempts: {why}")
+            reason = f"it has {len(stored)} items, which are not the {len(wire)} sent"
+        raise self._peer.error(f"the {kind.noun} could not be uploaded in {ATTEMPTS} attempts: {reason}")
 
     async def _offer(self, kind: PlanKind, wire: Sequence[Item]) -> str:
         """Sends a plan; returns the reason of a failure, or '' when the vehicle has requested every item."""
         upload = Upload(self._peer.system, kind, wire)
         self._peer.send(upload.last)
-        while not upload.over:
-            message = await self._mail.find(lambda m: _is_of(m, kind), PATIENCE)
+        while not upload.is_over:
+            message = await self._mail.find(lambda m: _is_of(m, kind), ANSWER_TIMEOUT)
             now = asyncio.get_running_loop().time()
             answer = upload.on_silence() if message is None else upload.on_message(message, now)
             if answer is not None:
@@ -119,9 +119,9 @@ class PlanTransfer:
         if upload.refusal is not None:
             reason = mission_result_text(upload.refusal)
             raise self._peer.error(f"the autopilot refuses the {kind.noun}: {reason}")
-        if upload.silent:
+        if upload.is_silent:
             raise self._peer.error(f"uploading the {kind.noun}: the autopilot did not answer", timeout=True)
-        return upload.why
+        return upload.reason
 
     # -- download and clear -----------------------------------------------------------------------------
 
@@ -139,18 +139,20 @@ class PlanTransfer:
     async def _item(self, kind: PlanKind, number: int) -> Item:
         ask = dialect.MAVLink_mission_request_int_message(self._peer.system, AUTOPILOT, number, int(kind))
         # More attempts within a download, since the vehicle does respond.
-        return Item.of(
-            await self._request(kind, ask, lambda m: m.get_msgId() == _ITEM and m.seq == number, SILENCES)
+        return Item.from_message(
+            await self._request(
+                kind, ask, lambda m: m.get_msgId() == _ITEM and m.seq == number, MAX_SILENCES_WITHIN
+            )
         )
 
     async def _clear(self, kind: PlanKind) -> None:
         clear = dialect.MAVLink_mission_clear_all_message(self._peer.system, AUTOPILOT, int(kind))
         await self._request(kind, clear, lambda m: m.get_msgId() == _ACK and m.type == _ACCEPTED)
-        if left := len(await self._download(kind)):
-            raise self._peer.error(f"the {kind.noun} was cleared, but {left} of its items remain")
+        if remaining := len(await self._download(kind)):
+            raise self._peer.error(f"the {kind.noun} was cleared, but {remaining} of its items remain")
 
     async def _request(
-        self, kind: PlanKind, question: Any, answers: Callable[[Any], bool], times: int = QUESTIONS
+        self, kind: PlanKind, request: Any, answers: Callable[[Any], bool], times: int = MAX_SILENCES
     ) -> Any:
         """Repeats a request until it is answered. Raises DeviceError with the refusal, if any."""
         refusal: list[int] = []
@@ -163,8 +165,8 @@ class PlanTransfer:
             return answers(message)
 
         for _ in range(times):
-            self._peer.send(question)
-            if (answer := await self._mail.find(matches, PATIENCE)) is not None:
+            self._peer.send(request)
+            if (answer := await self._mail.find(matches, ANSWER_TIMEOUT)) is not None:
                 return answer
         if refusal:
             reason = mission_result_text(refusal[-1])
@@ -192,5 +194,5 @@ def _is_of(message: Any, kind: PlanKind) -> bool:
     return bool(message.mission_type == kind)
 
 
-def _same(expected: Sequence[Item], found: Sequence[Item]) -> bool:
-    return len(expected) == len(found) and all(map(Item.same, expected, found))
+def _are_equal(expected: Sequence[Item], received: Sequence[Item]) -> bool:
+    return len(expected) == len(received) and all(map(Item.matches, expected, received))

@@ -13,7 +13,7 @@ from lfield_mavlink.services.plan_items import Item, PlanKind
 
 #: Consecutive silences of half a second until an attempt fails: at its start or end, and within, where
 #: ArduPilot repeats requests for 8 s.
-QUESTIONS, SILENCES = 10, 16
+MAX_SILENCES, MAX_SILENCES_WITHIN = 10, 16
 #: A request that is repeated within so many seconds is a duplicate packet.
 TWICE = 0.1
 #: Bound of messages per item, and in addition, for a malfunctioning vehicle.
@@ -26,30 +26,30 @@ REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSI
 class Upload:
     """The state of one upload: `last` is the last message sent, initially the one that starts the upload.
 
-    When `over`, `why` is the reason of a failure, '' when the vehicle has requested every item; `refusal` is
-    the MAV_MISSION_RESULT for the plan as a whole, and `silent` that there was no response.
+    When `is_over`, `reason` is the reason of a failure, '' when the vehicle has requested every item;
+    `refusal` is the MAV_MISSION_RESULT for the whole plan, `is_silent` whether there was no response.
     """
 
     def __init__(self, system: int, kind: PlanKind, wire: Sequence[Item]) -> None:
         self._system, self._kind, self._wire = system, kind, wire
-        self._handed: dict[int, float] = {}
+        self._sent_at: dict[int, float] = {}
         self._silences = 0
         self._budget = FIXED + PER_ITEM * len(wire)
         self.last: Any = dialect.MAVLink_mission_count_message(system, AUTOPILOT, len(wire), int(kind))
-        self.over = False
-        self.why = ""
+        self.is_over = False
+        self.reason = ""
         self.refusal: int | None = None
 
     @property
-    def silent(self) -> bool:
+    def is_silent(self) -> bool:
         """Whether no item was requested of a plan that has some."""
-        return bool(self._wire) and not self._handed
+        return bool(self._wire) and not self._sent_at
 
     def on_silence(self) -> Any | None:
         """Handles half a second without a message; returns the message to send, if any."""
         self._silences += 1
-        most = SILENCES if self._handed and not self._complete else QUESTIONS
-        if self._silences < most:
+        maximum = MAX_SILENCES_WITHIN if self._sent_at and not self._is_complete else MAX_SILENCES
+        if self._silences < maximum:
             return self.last
         self._end()
         return None
@@ -66,18 +66,18 @@ class Upload:
         return None
 
     @property
-    def _complete(self) -> bool:
+    def _is_complete(self) -> bool:
         """Whether every item was requested."""
-        return len(self._handed) == len(self._wire)
+        return len(self._sent_at) == len(self._wire)
 
     def _on_request(self, number: int, now: float) -> Any | None:
         # A repeated packet must not be answered twice: each answer causes the next request, which would
         # double every later item.
-        if number >= len(self._wire) or now - self._handed.get(number, -TWICE) < TWICE:
+        if number >= len(self._wire) or now - self._sent_at.get(number, -TWICE) < TWICE:
             return None
-        if number not in self._handed:
+        if number not in self._sent_at:
             self._silences = 0
-        self._handed[number] = now
+        self._sent_at[number] = now
         self.last = self._wire[number].message(self._system, number, self._kind)
         return self.last
 
@@ -89,16 +89,16 @@ class Upload:
             self._end("it did not get the next item in time")
         elif result == dialect.MAV_MISSION_ACCEPTED:
             # Before the last item it is a late message of an earlier upload.
-            if self._complete:
+            if self._is_complete:
                 self._end()
-        elif result == dialect.MAV_MISSION_ERROR and self._complete and self._silences:
+        elif result == dialect.MAV_MISSION_ERROR and self._is_complete and self._silences:
             # Our repetition arrived after the end, whose message was lost.
             self._end()
         else:
             self.refusal = result
             self._end()
 
-    def _end(self, why: str = "") -> None:
-        self.over = True
-        if why or not self._complete:
-            self.why = why or f"it requested {len(self._handed)} of {len(self._wire)} items only"
+    def _end(self, reason: str = "") -> None:
+        self.is_over = True
+        if reason or not self._is_complete:
+            self.reason = reason or f"it requested {len(self._sent_at)} of {len(self._wire)} items only"

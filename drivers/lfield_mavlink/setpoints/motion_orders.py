@@ -98,14 +98,14 @@ class ProgressPatience:
     clearance: float = math.inf
     message: str = "no progress for {seconds:g} s, {left:.1f} m from its goal"
 
-    def bound(self, moves: bool, pace: float | None) -> float:
+    def bound(self, is_moving: bool, speed: float | None) -> float:
         """The longest permitted seconds without an approach, at a speed in m/s if known.
 
         The actual speed may be half of it: acceleration, turns, corrections.
         """
-        slow = math.inf if pace is None else _SLOWEST * pace
-        still = max(self.seconds, _CERTAIN * self.closer / slow)
-        return max(still, self.turning, self.detour / slow) if moves else still
+        slowest = math.inf if speed is None else _SLOWEST * speed
+        time_limit = max(self.seconds, _CERTAIN * self.closer / slowest)
+        return max(time_limit, self.turning, self.detour / slowest) if is_moving else time_limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +121,9 @@ class Circle:
     def farthest(self) -> Vector:
         """The position on the circle that is farthest from home."""
         north, east, down = self.centre
-        far = math.hypot(north, east)
-        share = (far + self.radius) / far if far else 0.0
-        return (north * share, east * share, down) if far else (self.radius, 0.0, down)
+        distance = math.hypot(north, east)
+        share = (distance + self.radius) / distance if distance else 0.0
+        return (north * share, east * share, down) if distance else (self.radius, 0.0, down)
 
 
 class AutopilotOrders(Protocol):
@@ -170,7 +170,7 @@ class ArduPilot:
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """A goal that leads on the circle: ArduPilot does not support DO_ORBIT."""
 
-        def ahead(place: Vector) -> Target:
+        def lead_target(place: Vector) -> Target:
             centre, turn = circle.centre, _AHEAD if circle.clockwise else -_AHEAD
             angle = math.atan2(place[1] - centre[1], place[0] - centre[0]) + turn
             north = centre[0] + circle.radius * math.cos(angle)
@@ -178,7 +178,12 @@ class ArduPilot:
             return Target(ONLY_POSITION, (north, east, centre[2]))
 
         return Order(
-            self.guided, mode="GUIDED", target=ahead, period=0.2, speed=circle.speed, goal=circle.farthest
+            self.guided,
+            mode="GUIDED",
+            target=lead_target,
+            period=0.2,
+            speed=circle.speed,
+            goal=circle.farthest,
         )
 
 
@@ -189,35 +194,35 @@ class Px4:
 
     def take_off(self, state: VehicleState, height: float) -> Order:
         """A climbing target from the present position."""
-        north, east, _ = place = _known(state.position)
+        north, east, _ = place = _required(state.position)
         goal = (north, east, -height)
         return Order(self.guided, trajectory=Leg(place, state.velocity, goal, _SLOW, climb=LIFTS))
 
     def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
         """A target on the straight line, with an unchanged heading; a rover gets a velocity towards it."""
-        place, fast = _known(state.position), speed or _SLOW
-        trajectory: Trajectory = Leg(place, state.velocity, goal, fast)
+        place, path_speed = _required(state.position), speed or _SLOW
+        trajectory: Trajectory = Leg(place, state.velocity, goal, path_speed)
         if state.kind == "rover":
-            trajectory = Pursuit(goal, fast, SpeedCorrection(excess=PX4_ROVER_EXCESS))
-        return Order(self.guided, trajectory=trajectory, speed=fast, goal=goal)
+            trajectory = Pursuit(goal, path_speed, SpeedCorrection(excess=PX4_ROVER_EXCESS))
+        return Order(self.guided, trajectory=trajectory, speed=path_speed, goal=goal)
 
     def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
         """A target at the present position, with the heading in radians.
 
         A rover ignores the heading, as recorded, so it gets a velocity in that direction.
         """
-        place, yaw = _known(state.position), math.remainder(heading, math.tau)
+        place, yaw = _required(state.position), math.remainder(heading, math.tau)
         if state.kind == "rover":
-            fast = min(speed or _ROUND, _ROUND)
-            fast = SpeedCorrection(excess=PX4_ROVER_EXCESS).commanded(fast)
-            velocity = (fast * math.cos(heading), fast * math.sin(heading), 0.0)
+            turn_speed = min(speed or _ROUND, _ROUND)
+            turn_speed = SpeedCorrection(excess=PX4_ROVER_EXCESS).commanded(turn_speed)
+            velocity = (turn_speed * math.cos(heading), turn_speed * math.sin(heading), 0.0)
             return Order(self.guided, target=lambda _: Target(ONLY_VELOCITY, velocity=velocity), period=_FED)
         return Order(self.guided, trajectory=Leg(place, state.velocity, place, speed or _SLOW, yaw=yaw))
 
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """A target on the circle."""
         ring = Ring(
-            _known(state.position),
+            _required(state.position),
             state.velocity,
             circle.centre,
             circle.radius,
@@ -259,18 +264,18 @@ def reposition(
     state: VehicleState, goal: Vector | None, speed: float | None, yaw: float | None = None
 ) -> Order:
     """DO_REPOSITION of PX4, which flies there in its hold mode and stays."""
-    place, fast = _global(state, goal), -1.0 if speed is None else speed
-    command = Command(dialect.MAV_CMD_DO_REPOSITION, (fast, _CHANGE_MODE, 0.0, yaw), place)
+    place, path_speed = _global(state, goal), -1.0 if speed is None else speed
+    command = Command(dialect.MAV_CMD_DO_REPOSITION, (path_speed, _CHANGE_MODE, 0.0, yaw), place)
     return Order(frozenset({"AUTO.LOITER"}), command=command, goal=goal)
 
 
 def _global(state: VehicleState, place: Vector | None) -> Place:
     """A position relative to home on the Earth."""
     assert state.home is not None, "the caller has checked it"
-    return state.home.shifted(_known(place), state.radius)
+    return state.home.shifted(_required(place), state.radius)
 
 
-def _known(place: Vector | None) -> Vector:
+def _required(place: Vector | None) -> Vector:
     assert place is not None, "the caller has checked it"
     return place
 

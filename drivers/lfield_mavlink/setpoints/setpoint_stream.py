@@ -53,7 +53,7 @@ class SetpointStream:
             self._timer = None
 
     @property
-    def runs(self) -> bool:
+    def is_running(self) -> bool:
         """Whether setpoints are being sent."""
         return self._timer is not None
 

@@ -44,10 +44,10 @@ class SpeedCorrection:
         self._first, self._excess = first, excess
         self._started_at: float | None = None
         self._sum, self._count = 0.0, 0
-        self._before: float | None = None
+        self._previous_mean: float | None = None
 
     @classmethod
-    def of(cls, profile: Profile) -> SpeedCorrection:
+    def for_profile(cls, profile: Profile) -> SpeedCorrection:
         """The correction for a kind of vehicle under its autopilot."""
         if profile.kind != "rover":
             return cls()
@@ -67,39 +67,40 @@ class SpeedCorrection:
 
     def pause(self) -> None:
         """Discards the present average: the vehicle turned, or braked."""
-        self._started_at = self._before = None
+        self._started_at = self._previous_mean = None
         self._sum, self._count = 0.0, 0
 
-    def sample(self, flown: float, speed: float, now: float) -> bool:
+    def sample(self, actual: float, speed: float, now: float) -> bool:
         """Adds an actual speed for a target speed; returns whether the share has changed."""
         if self._started_at is None:
             self._started_at = now
-        self._sum += flown
+        self._sum += actual
         self._count += 1
         if now - self._started_at < WINDOW:
             return False
-        mean, before = self._sum / self._count, self._before
-        self._started_at, self._sum, self._count, self._before = now, 0.0, 0, mean
-        return self._correct(mean, before, speed)
+        mean, previous = self._sum / self._count, self._previous_mean
+        self._started_at, self._sum, self._count, self._previous_mean = now, 0.0, 0, mean
+        return self._correct(mean, previous, speed)
 
-    def follow(self, velocity: Sequence[float], way: Sequence[float], speed: float, now: float) -> None:
-        """Samples the actual speed straight along `way` (north, east); turns are ignored."""
-        driven = math.hypot(*velocity[:2])
-        if velocity[0] * way[0] + velocity[1] * way[1] > STRAIGHT * driven * math.hypot(*way):
-            self.sample(driven, speed, now)
+    def follow(self, velocity: Sequence[float], direction: Sequence[float], speed: float, now: float) -> None:
+        """Samples the actual speed in a `direction` (north, east); turns are ignored."""
+        actual = math.hypot(*velocity[:2])
+        along = velocity[0] * direction[0] + velocity[1] * direction[1]
+        if along > STRAIGHT * actual * math.hypot(*direction):
+            self.sample(actual, speed, now)
         else:
             self.pause()
 
-    def _correct(self, mean: float, before: float | None, speed: float) -> bool:
-        off = (speed - mean) / speed
-        is_steady = before is not None and abs(mean - before) <= STEADY * speed
+    def _correct(self, mean: float, previous: float | None, speed: float) -> bool:
+        deviation = (speed - mean) / speed
+        is_steady = previous is not None and abs(mean - previous) <= STEADY * speed
         # A vehicle that gets its speed with each setpoint does not forget it: it is still decelerating.
-        is_other = off < -OTHER and not (self._excess and is_steady)
-        if is_other or off > HELD_UP:
+        is_other = deviation < -OTHER and not (self._excess and is_steady)
+        if is_other or deviation > HELD_UP:
             return False
-        if not (off < -ABOVE or (off > BELOW and is_steady)):
+        if not (deviation < -ABOVE or (deviation > BELOW and is_steady)):
             return False
-        share = min(1.0 / self._at_first(speed), max(LEAST, self.share * (1.0 + GAIN * off)))
-        changed = not math.isclose(share, self.share, rel_tol=1e-3)
+        share = min(1.0 / self._at_first(speed), max(LEAST, self.share * (1.0 + GAIN * deviation)))
+        has_changed = not math.isclose(share, self.share, rel_tol=1e-3)
         self.share = share
-        return changed
+        return has_changed

@@ -56,7 +56,7 @@ class Target:
 
     def message(self, system: int, home: Vector) -> Any:
         """SET_POSITION_TARGET_LOCAL_NED for a system; `home` is in its local frame, in metres."""
-        place = (mine + h for mine, h in zip(self.place, home, strict=True))
+        place = (own + home_value for own, home_value in zip(self.place, home, strict=True))
         frame, acceleration = dialect.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
         return dialect.MAVLink_set_position_target_local_ned_message(
             0, system, AUTOPILOT, frame, self.mask, *place, *self.velocity, *acceleration,
@@ -79,17 +79,17 @@ class Trajectory(Protocol):
 class _Moving:
     """State of a moving target: position, speed in m/s, and time of the last step."""
 
-    def __init__(self, start: Vector, speed: float, pace: float = 0.0) -> None:
+    def __init__(self, start: Vector, speed: float, current_speed: float = 0.0) -> None:
         self.speed = speed
-        self._point, self._pace = start, pace
-        self._at: float | None = None
+        self._point, self._current_speed = start, current_speed
+        self._updated_at: float | None = None
 
     def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
         """The setpoint, as in Trajectory."""
-        since = 0.0 if self._at is None else min(max(0.0, now - self._at), LONGEST)
-        self._at = now
+        elapsed = 0.0 if self._updated_at is None else min(max(0.0, now - self._updated_at), LONGEST)
+        self._updated_at = now
         if place is not None:
-            self._move(since, self._share(place))
+            self._move(elapsed, self._share(place))
         return self._setpoint()
 
     def _setpoint(self) -> Target:
@@ -101,25 +101,27 @@ class _Moving:
         upright = abs(self._point[2] - place[2]) / (LEAD_TIME * CLIMB + LEAD)
         return min(1.0, max(0.0, (1.0 - max(level, upright)) / SLOWS))
 
-    def _move(self, since: float, share: float) -> None:
+    def _move(self, elapsed: float, share: float) -> None:
         raise NotImplementedError
 
-    def _step_to(self, goal: Vector, since: float, share: float, climb: float) -> None:
+    def _step_to(self, goal: Vector, elapsed: float, share: float, climb: float) -> None:
         """Moves straight to a goal and stops there."""
-        way = tuple(g - p for g, p in zip(goal, self._point, strict=True))
-        left = math.hypot(*way)
-        if left < 1e-6:
-            self._pace = 0.0
+        offset = tuple(g - p for g, p in zip(goal, self._point, strict=True))
+        distance = math.hypot(*offset)
+        if distance < 1e-6:
+            self._current_speed = 0.0
             return
-        level, down = math.hypot(*way[:2]) / left, way[2] / left
+        horizontal_share, vertical_share = math.hypot(*offset[:2]) / distance, offset[2] / distance
         fastest = min(
-            self.speed / level if level > 1e-6 else math.inf,
-            (SINK if down > 0.0 else climb) / abs(down) if abs(down) > 1e-6 else math.inf,
+            self.speed / horizontal_share if horizontal_share > 1e-6 else math.inf,
+            (SINK if vertical_share > 0.0 else climb) / abs(vertical_share)
+            if abs(vertical_share) > 1e-6
+            else math.inf,
         )
-        braking = max(LEAST, math.sqrt(2.0 * LOSES * left))
-        self._pace = min(fastest, self._pace + GAINS * since, braking)
-        step = min(1.0, self._pace * share * since / left)
-        north, east, below = (p + w * step for p, w in zip(self._point, way, strict=True))
+        braking = max(LEAST, math.sqrt(2.0 * LOSES * distance))
+        self._current_speed = min(fastest, self._current_speed + GAINS * elapsed, braking)
+        step = min(1.0, self._current_speed * share * elapsed / distance)
+        north, east, below = (p + w * step for p, w in zip(self._point, offset, strict=True))
         self._point = (north, east, below)
 
 
@@ -136,12 +138,12 @@ class Leg(_Moving):
         climb: float = CLIMB,
         yaw: float | None = None,
     ) -> None:
-        start, pace = _underway(place, velocity, goal)
-        super().__init__(start, speed, pace)
+        start, current_speed = _moving_start(place, velocity, goal)
+        super().__init__(start, speed, current_speed)
         self._goal, self._climb, self._yaw = goal, climb, yaw
 
-    def _move(self, since: float, share: float) -> None:
-        self._step_to(self._goal, since, share, self._climb)
+    def _move(self, elapsed: float, share: float) -> None:
+        self._step_to(self._goal, elapsed, share, self._climb)
 
     def _setpoint(self) -> Target:
         if self._yaw is None:
@@ -155,7 +157,7 @@ class Stay(_Moving):
     def __init__(self, place: Vector, speed: float) -> None:
         super().__init__(place, speed)
 
-    def _move(self, since: float, share: float) -> None:
+    def _move(self, elapsed: float, share: float) -> None:
         """Does not move."""
 
 
@@ -179,31 +181,31 @@ class Ring(_Moving):
         self._centre, self._radius, self._clockwise = centre, radius, clockwise
         north, east = place[0] - centre[0], place[1] - centre[1]
         self._angle = math.atan2(east, north) if (north or east) else 0.0
-        self._on = False
+        self._is_on_circle = False
         self.speed = speed
-        start, pace = _underway(place, velocity, self._entry)
-        super().__init__(start, speed, pace)
+        start, current_speed = _moving_start(place, velocity, self._entry)
+        super().__init__(start, speed, current_speed)
 
     @property
     def _entry(self) -> Vector:
         """The point where the target is on, or enters, its circle."""
         lag = (self.speed * FOLLOWS) ** 2
         square = self._radius**2
-        wide = math.sqrt((square + math.sqrt(square**2 + 4.0 * square * lag)) / 2.0)
-        north = self._centre[0] + wide * math.cos(self._angle)
-        east = self._centre[1] + wide * math.sin(self._angle)
+        target_radius = math.sqrt((square + math.sqrt(square**2 + 4.0 * square * lag)) / 2.0)
+        north = self._centre[0] + target_radius * math.cos(self._angle)
+        east = self._centre[1] + target_radius * math.sin(self._angle)
         return (north, east, self._centre[2])
 
-    def _move(self, since: float, share: float) -> None:
+    def _move(self, elapsed: float, share: float) -> None:
         entry = self._entry
-        if not self._on:
-            self._step_to(entry, since, share, CLIMB)
-            self._on = math.dist(self._point, entry) <= ON_CIRCLE
+        if not self._is_on_circle:
+            self._step_to(entry, elapsed, share, CLIMB)
+            self._is_on_circle = math.dist(self._point, entry) <= ON_CIRCLE
             return
-        self._pace = min(self.speed, self._pace + GAINS * since)
-        wide = math.dist(entry[:2], self._centre[:2])
-        turned = self._pace * share * since / wide
-        self._angle += turned if self._clockwise else -turned
+        self._current_speed = min(self.speed, self._current_speed + GAINS * elapsed)
+        target_radius = math.dist(entry[:2], self._centre[:2])
+        angle = self._current_speed * share * elapsed / target_radius
+        self._angle += angle if self._clockwise else -angle
         self._point = self._entry
 
 
@@ -222,31 +224,31 @@ class Pursuit:
         if place is None:
             return Target(ONLY_VELOCITY)
         north, east = self._goal[0] - place[0], self._goal[1] - place[1]
-        left = math.hypot(north, east)
-        if left < 1e-6:
+        distance = math.hypot(north, east)
+        if distance < 1e-6:
             return Target(ONLY_VELOCITY)
-        braking = math.sqrt(2.0 * ROVER_BRAKES * left)
+        braking = math.sqrt(2.0 * ROVER_BRAKES * distance)
         if braking > self.speed:
             self._correction.follow(velocity, (north, east), self.speed, now)
         else:
             self._correction.pause()
-        fast = self._correction.commanded(min(self.speed, braking))
-        return Target(ONLY_VELOCITY, velocity=(fast * north / left, fast * east / left, 0.0))
+        speed = self._correction.commanded(min(self.speed, braking))
+        return Target(ONLY_VELOCITY, velocity=(speed * north / distance, speed * east / distance, 0.0))
 
 
-def _underway(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, float]:
+def _moving_start(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, float]:
     """Start of a target for a moving vehicle, and its speed towards the goal.
 
     The target continues the vehicle's own speed, not beyond the goal.
     """
-    way = tuple(g - p for g, p in zip(goal, place, strict=True))
-    left = math.hypot(*way)
-    if left < 1e-6:
+    offset = tuple(g - p for g, p in zip(goal, place, strict=True))
+    distance = math.hypot(*offset)
+    if distance < 1e-6:
         return place, 0.0
-    along = max(0.0, sum(w * v for w, v in zip(way, velocity, strict=True)) / left)
-    share = min(1.0, along * FOLLOWS / left)
-    north, east, down = (p + w * share for p, w in zip(place, way, strict=True))
-    return (north, east, down), along
+    speed = max(0.0, sum(w * v for w, v in zip(offset, velocity, strict=True)) / distance)
+    share = min(1.0, speed * FOLLOWS / distance)
+    north, east, down = (p + w * share for p, w in zip(place, offset, strict=True))
+    return (north, east, down), speed
 
 
 def stopping_place(place: Vector, velocity: Vector) -> Vector:
@@ -254,5 +256,5 @@ def stopping_place(place: Vector, velocity: Vector) -> Vector:
 
     To a position behind that place, a car-like rover would drive a loop.
     """
-    way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
-    return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]
+    braking_time = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
+    return place[0] + velocity[0] * braking_time, place[1] + velocity[1] * braking_time, place[2]

@@ -194,14 +194,16 @@ def test_controller_states_and_the_cause_of_bus_off_are_noted(stub):
     async def story(bench):
         made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x04, b"\0\x40")]
         await bench.until(lambda: bench.bus.errors == 3)
-        assert bench.bus.trouble == ""
+        assert bench.bus.problem_text == ""
         made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x40)]
         await bench.until(lambda: bench.noted("link opened: "))
         # The interface is open again, but no frame was received yet: its controller may still be off.
-        assert bench.bus.trouble.startswith("bus off: no acknowledgement of a frame; check that another node")
+        assert bench.bus.problem_text.startswith(
+            "bus off: no acknowledgement of a frame; check that another node"
+        )
         made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
         await bench.until(lambda: bench.frames)
-        assert bench.bus.trouble == ""
+        assert bench.bus.problem_text == ""
         codes = [getattr(note, "code", "") for note in bench.notes]
         assert codes == [
             "can-error-frames",

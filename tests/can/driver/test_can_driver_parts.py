@@ -101,11 +101,11 @@ def test_standard_and_extended_ids_have_different_keys():
             linux_error,
             0x004,
             "0022",
-            "controller trouble (send buffer full, error passive by send errors)",
+            "controller problem (send buffer full, error passive by send errors)",
             PASSIVE,
         ),
-        (linux_error, 0x004, "0008", "controller trouble (many send errors)", WARNING),
-        (linux_error, 0x004, "0040", "controller trouble (error active again)", ACTIVE),
+        (linux_error, 0x004, "0008", "controller problem (many send errors)", WARNING),
+        (linux_error, 0x004, "0040", "controller problem (error active again)", ACTIVE),
         (linux_error, 0x028, "", "protocol violation, no acknowledgement of a frame", ""),
         (
             linux_error,
@@ -115,7 +115,7 @@ def test_standard_and_extended_ids_have_different_keys():
             "counted: 143 sending, 3 receiving",
             "",
         ),
-        (linux_error, 0x010, "0000000070", "transceiver trouble (CAN-L shorted to ground)", ""),
+        (linux_error, 0x010, "0000000070", "transceiver problem (CAN-L shorted to ground)", ""),
         (linux_error, 0x100, "", "controller restarted", ACTIVE),
         (linux_error, 0, "", "an error of unknown class", ""),
         (
@@ -193,7 +193,7 @@ def test_periodic_task_ends_after_its_time_and_when_stopped():
         loop, done = asyncio.get_running_loop(), []
         repeating = PeriodicTask(LoopClock())
         start = loop.time()
-        repeating.start(0.1, lambda: done.append(round(loop.time() - start, 3)), lasts=0.35)
+        repeating.start(0.1, lambda: done.append(round(loop.time() - start, 3)), duration=0.35)
         await asyncio.sleep(1.0)
         assert done == [0.1, 0.2, 0.3]
         repeating.resume()
@@ -274,7 +274,7 @@ def test_cia402_axis_survives_any_frames(bench, binding, frames):
     async def mission(axis):
         tpdos = [
             Pdo(n + 1, first + 5, entries)
-            for n, (first, entries) in enumerate(zip(TRANSMITTED, TPDO.ours, strict=False))
+            for n, (first, entries) in enumerate(zip(TRANSMITTED, TPDO.mappings, strict=False))
         ]
         axis.protocol.pdo_configuration = PdoConfiguration(ProcessData(tpdos))
         for code, data in frames:

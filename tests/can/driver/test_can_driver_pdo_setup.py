@@ -25,8 +25,8 @@ class Records:
         self.values = {(entry >> 16, 0): 0 for entry in t.NUMBERS}
         self.values |= {(int(name[1:], 16), 0): value for name, value in objects.items()}
         for record, mapping, first, ours in (
-            (0x1800, 0x1A00, 0x180, t.TPDO.ours),
-            (0x1400, 0x1600, 0x200, t.RPDO.ours),
+            (0x1800, 0x1A00, 0x180, t.TPDO.mappings),
+            (0x1400, 0x1600, 0x200, t.RPDO.mappings),
         ):
             for number, entries in enumerate(ours):
                 self.values |= {

@@ -79,7 +79,7 @@ def test_nodes_get_the_node_id_of_their_unique_id(node):
         assert servo.query("position") == pytest.approx(-0.4, abs=0.02)
         assert battery.query("charge") > 0.9
         given = [note for note in servo.notes if "node id" in note]
-        assert any(f"node id 42 given to the unique id {UNIQUE_ID}" in note for note in given)
+        assert any(f"node id 42 assigned to the unique id {UNIQUE_ID}" in note for note in given)
         fake.fault("silence@42=true")
         await servo.until_note("link lost")
         fake.fault("silence@42=false")

@@ -39,7 +39,7 @@ async def test_servo_with_torque_off_is_at_rest_until_torque_returns(bench, serv
     assert servo.moving() == ""
     bench.servos[1].table.put("torque_enable", 1)
     await asyncio.sleep(3.0)
-    assert servo.moving() == "stiff again"
+    assert servo.moving() == "torque on again"
 
 
 @on_bench(Bench, safe_state="torque_off")

@@ -91,7 +91,7 @@ def test_any_message_content_is_survived_and_publishes_finite_values(kind, messa
 def test_shifted_position_and_displacement_are_inverse(latitude, longitude, north, east):
     here = Place(latitude, longitude, 100.0)
     there = here.shifted((north, east, -5.0))
-    assert here.to(there) == pytest.approx((north, east, -5.0), abs=1e-3)
+    assert here.vector_to(there) == pytest.approx((north, east, -5.0), abs=1e-3)
     assert abs(there.longitude) <= 180.0
 
 

@@ -12,7 +12,7 @@ import pytest
 from lfield.driver import Origin, Placement
 from lfield_mavlink.contact.vehicle_state import VehicleState
 from lfield_mavlink.frames import frame_of
-from lfield_mavlink.geodesy import Place, onto
+from lfield_mavlink.geodesy import Place, geodesic_offset
 from lfield_mavlink.link.dialect import dialect
 
 TRACES = Path(__file__).parents[2] / "sim" / "replay" / "traces"
@@ -66,7 +66,7 @@ def test_recorded_local_and_global_positions_agree(name):
     both = [at for at in by_metres if by_degrees.get(at) is not None]
     assert len(both) > 10
     for at in both:
-        north, east, _ = onto(team, by_degrees[at])
+        north, east, _ = geodesic_offset(team, by_degrees[at])
         assert math.dist(by_metres[at][:2], (north, east)) < 0.02
         assert by_metres[at][2] == pytest.approx(team.altitude - by_degrees[at].altitude, abs=NEAR[stack])
     # An ArduRover sends local positions 11 s before the origin of their frame.

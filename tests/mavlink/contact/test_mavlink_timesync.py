@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.clock import ManualClock
-from lfield_mavlink.contact.link_health import KEPT, TimeSync
+from lfield_mavlink.contact.link_health import MAX_OFFSETS, TimeSync
 from lfield_mavlink.link.dialect import dialect
 
 
@@ -46,7 +46,7 @@ def test_offset_is_that_of_the_shortest_recent_round_trip():
         measured = sync.on_message(answer(sent[-1], clock.now - delay / 2 + skew))
     assert measured.round_trip == pytest.approx(0.3)
     assert measured.offset == pytest.approx(-500.0, abs=1e-6)
-    for _ in range(KEPT):
+    for _ in range(MAX_OFFSETS):
         sync.start_round_trip()
         clock.advance(0.3)
         measured = sync.on_message(answer(sent[-1], clock.now - 0.15 + 0.1))

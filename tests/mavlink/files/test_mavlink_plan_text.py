@@ -24,7 +24,7 @@ def test_compact_text_keeps_every_part_of_a_plan():
     before, after = read_plan_file("north-field.plan", data), read_plan_text(text)
     assert after.file == "north-field.plan"
     pairs = zip(before.items, after.items, strict=True)
-    assert [each.item.same(other.item) for each, other in pairs] == [True] * 6
+    assert [each.item.matches(other.item) for each, other in pairs] == [True] * 6
     assert (after.kind, after.firmware, after.home) == (before.kind, before.firmware, HOME)
     assert [len(each.corners) for each in after.fence] == [3, 1]
     assert len(after.rally) == 1

@@ -7,8 +7,8 @@ import pytest
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.link.packet_sources import (
     BACKWARDS,
-    LASTS,
-    LISTENS,
+    CONFLICT_TIME,
+    LISTEN_TIME,
     MAX_QUERIES,
     MAX_SOURCES,
     Source,
@@ -66,8 +66,8 @@ def test_two_addresses_that_both_send_are_two_vehicles():
     run(s, 60.0, A, B, start=4.0)
     assert len(s.events) == 1
     # One of them stops: the conflict ends.
-    run(s, LASTS + 2.0, A, start=65.0)
-    assert s.conflict(65.0 + LASTS + 2.0) == ""
+    run(s, CONFLICT_TIME + 2.0, A, start=65.0)
+    assert s.conflict(65.0 + CONFLICT_TIME + 2.0) == ""
 
 
 def test_new_address_with_the_same_board_replaces_a_silent_one():
@@ -148,8 +148,8 @@ def test_sender_without_heartbeat_is_not_accepted():
 def test_address_is_settled_after_the_listening_time():
     s = Sources(1, LINKS[:1])
     s.on_packet(A, beat(), 0.0)
-    assert not s.is_settled(LISTENS - 0.01)
-    assert s.is_settled(LISTENS)
+    assert not s.is_settled(LISTEN_TIME - 0.01)
+    assert s.is_settled(LISTEN_TIME)
     # A link with one remote end has no second address.
     one = Sources(1, ["tcp:127.0.0.1:5760"])
     one.on_packet(CABLE, beat(), 0.0)
@@ -274,15 +274,15 @@ def test_any_number_of_addresses_uses_bounded_memory():
         s.on_packet(Source(0, f"10.1.0.{number}:1"), beat(), 2.0)
         s.on_packet(A, beat(), 2.0)
     assert len(s._states) <= MAX_SOURCES + 1
-    assert len(s._rivals) <= MAX_SOURCES + 1
+    assert len(s._conflicting) <= MAX_SOURCES + 1
     assert s.accepts(A)
 
 
 def test_board_is_identified_by_uid_and_firmware():
-    assert Board.of(version()).uid == ""
-    assert Board.of(version(uid=0x3F)).uid == "-3f"
-    assert Board.of(version(uid2=b"\2", uid=0x3F)).uid == "02-3f"
-    assert Board.of(version(firmware=1)) != Board.of(version(firmware=2))
+    assert Board.from_message(version()).uid == ""
+    assert Board.from_message(version(uid=0x3F)).uid == "-3f"
+    assert Board.from_message(version(uid2=b"\2", uid=0x3F)).uid == "02-3f"
+    assert Board.from_message(version(firmware=1)) != Board.from_message(version(firmware=2))
 
 
 def numbered(message, number):

@@ -80,16 +80,16 @@ async def test_port_without_listener_is_reported_with_usual_endpoints():
         port = free.getsockname()[1]
     link = make_link(f"udp:{HERE}:{port}", lambda data: None)
     await link.open()
-    assert link.why_silent().startswith(f"nothing received from udp:{HERE}:{port}; simulators use")
+    assert link.silence_reason().startswith(f"nothing received from udp:{HERE}:{port}; simulators use")
     link.send(b"ping")
-    await until(lambda: link.why_silent().startswith(f"no process listens at udp:{HERE}:{port}; "))
-    assert "tcp:127.0.0.1:5760" in link.why_silent()
-    assert "udpin:127.0.0.1:14550" in link.why_silent()
+    await until(lambda: link.silence_reason().startswith(f"no process listens at udp:{HERE}:{port}; "))
+    assert "tcp:127.0.0.1:5760" in link.silence_reason()
+    assert "udpin:127.0.0.1:14550" in link.silence_reason()
     link.close()
 
 
 async def test_tcp_reconnects_after_a_broken_connection(monkeypatch):
-    monkeypatch.setattr("lfield_mavlink.link.links.AGAIN", 0.01)
+    monkeypatch.setattr("lfield_mavlink.link.links.RETRY_INTERVAL", 0.01)
 
     got, writers = bytearray(), []
 
@@ -102,7 +102,7 @@ async def test_tcp_reconnects_after_a_broken_connection(monkeypatch):
     link = make_link(f"tcp:127.0.0.1:{port}", got.extend)
     await link.open()
     await until(lambda: got == b"hello")
-    assert "is connected but sends nothing" in link.why_silent()
+    assert "is connected but sends nothing" in link.silence_reason()
     writers[0].transport.abort()
     await until(lambda: got == b"hellohello")
     link.send(b"x")

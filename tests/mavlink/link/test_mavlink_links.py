@@ -23,7 +23,7 @@ def commands(link, number):
 
 def test_endpoint_list_is_split_into_links():
     both = "udpin:0.0.0.0:1, payload=udpin:0.0.0.0:1, payload=tcp:10.0.0.9:2"
-    assert (len(split_endpoint(both)), LinkUses.of(both)) == (2, ([0], [0, 1]))
+    assert (len(split_endpoint(both)), LinkUses.parse(both)) == (2, ([0], [0, 1]))
     assert split_endpoint("udp:127.0.0.1:14550, serial:/dev/ttyUSB0:57600") == [
         "udp:127.0.0.1:14550",
         "serial:/dev/ttyUSB0:57600",

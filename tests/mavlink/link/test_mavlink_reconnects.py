@@ -21,7 +21,7 @@ HOSTS = ["127.0.0.1", "[::1]"]
 def short_waits(monkeypatch):
     """Divides every wait of a link by 20."""
     for module in (tcp, udp):
-        monkeypatch.setattr(module, "AGAIN", module.AGAIN / 20.0)
+        monkeypatch.setattr(module, "RETRY_INTERVAL", module.RETRY_INTERVAL / 20.0)
         monkeypatch.setattr(module, "SILENT", module.SILENT / 20.0)
 
 

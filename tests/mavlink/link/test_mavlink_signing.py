@@ -187,7 +187,7 @@ def test_signed_packet_is_accepted_once(key_file):
     packet = bytes(beat().pack(writer(KEY_BYTES, 1000 * PER_SECOND)))
     assert len(list(reader.feed(packet))) == 1
     assert list(reader.feed(packet)) == []
-    assert (signing.good, signing.bad, reader.broken) == (1, 1, 0)
+    assert (signing.valid_count, signing.invalid_count, reader.broken) == (1, 1, 0)
 
 
 @pytest.mark.parametrize("allow", [True, False])
@@ -198,7 +198,7 @@ def test_wrong_key_or_old_timestamp_is_refused(key_file, allow):
     ancient = beat().pack(writer(KEY_BYTES, 0))
     for packet in (wrong, old, ancient):
         assert list(reader.feed(packet)) == []
-    assert (signing.good, signing.bad) == (0, 3)
+    assert (signing.valid_count, signing.invalid_count) == (0, 3)
 
 
 def test_unsigned_packets_are_accepted_only_if_allowed(key_file):
@@ -240,7 +240,7 @@ def test_modified_signed_packet_is_refused(tmp_path_factory, noise, at, change):
     original = bytes(beat().pack(writer(KEY_BYTES, 1000 * PER_SECOND)))
     found = list(reader.feed(bytes(packet)))
     assert found == [] or bytes(packet).startswith(original)
-    assert signing.good == len(found)
+    assert signing.valid_count == len(found)
 
 
 # -- bindings ---------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ def flown(monitor, *sinks, height=40.0, began=0.0, step=0.1, velocity=None, last
             if velocity is not None and number % 2 == 0:
                 monitor.on_velocity(velocity + 0.01 * (number % 3), now)
             now, height = now + step, max(0.0, height - sink * step)
-            if finding := monitor.on_motion(height, sink, now, judged=True):
+            if finding := monitor.on_motion(height, sink, now, is_ours=True):
                 found.append((now - began, finding.text))
     return found
 
@@ -72,7 +72,7 @@ def test_hard_landing_is_distinguished_from_an_impact(landing, touch, crashes):
     monitor = DescentMonitor()
     monitor.may_descend(1.5, landing)
     flown(monitor, touch, height=1.2, last=0.5)
-    found = monitor.on_motion(0.0, 0.0, 0.6, judged=True)
+    found = monitor.on_motion(0.0, 0.0, 0.6, is_ours=True)
     assert (found is not None and found.crashed) == crashes
 
 

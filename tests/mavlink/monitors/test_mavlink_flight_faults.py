@@ -129,7 +129,7 @@ async def test_foreign_setpoints_to_px4_in_offboard_are_a_takeover(b, fc, /):
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert ended - began < 2.0
     assert "another station has sent it elsewhere" in reason
-    assert not b.driver.devices["a1.fc"].motion.stream.runs, "the driver stops its own setpoints"
+    assert not b.driver.devices["a1.fc"].motion.stream.is_running, "the driver stops its own setpoints"
     other.cancel()
 
 

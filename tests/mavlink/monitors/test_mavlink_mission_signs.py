@@ -26,7 +26,7 @@ def current(seq, total=4, mission=0, fence=0, rally=0):
 
 def signs(*messages, **about):
     changes = MissionChanges()
-    changes.checked(**about)
+    changes.on_checked(**about)
     return [changes.on_current(message) for message in messages]
 
 
@@ -70,10 +70,10 @@ def target(north, east, altitude):
 
 def test_mission_target_is_checked_against_the_limits():
     limits = MissionTarget(50.0, 20.0)
-    assert limits.beyond(target(49.0, 10.0, 500.0), HOME, flies=True) == ""
-    assert "53 m from home" in limits.beyond(target(53.0, 0.0, 500.0), HOME, flies=True)
-    assert "height of 32 m" in limits.beyond(target(0.0, 0.0, 520.0), HOME, flies=True)
-    assert limits.beyond(target(0.0, 0.0, 520.0), HOME, flies=False) == "", "a rover has no heights"
-    assert limits.beyond(target(0.0, 0.0, float("nan")), HOME, flies=True) == ""
+    assert limits.excess(target(49.0, 10.0, 500.0), HOME, flies=True) == ""
+    assert "53 m from home" in limits.excess(target(53.0, 0.0, 500.0), HOME, flies=True)
+    assert "height of 32 m" in limits.excess(target(0.0, 0.0, 520.0), HOME, flies=True)
+    assert limits.excess(target(0.0, 0.0, 520.0), HOME, flies=False) == "", "a rover has no heights"
+    assert limits.excess(target(0.0, 0.0, float("nan")), HOME, flies=True) == ""
     nowhere = dialect.MAVLink_position_target_global_int_message(0, 5, 0, 0, 0, 0.0, *[0.0] * 8)
-    assert limits.beyond(nowhere, HOME, flies=True) == ""
+    assert limits.excess(nowhere, HOME, flies=True) == ""

@@ -242,7 +242,7 @@ def test_accepted_command_without_effect_is_an_error(bench, monkeypatch):
 async def test_motion_without_progress_is_given_up(b, fc, /):
     await up(fc)
     b.autopilot.pace.own = lambda: 0.0
-    with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
+    with pytest.raises(DeviceError, match="goTo failed: no progress for 10 s, 30"):
         await fc.execute("goTo", [30.0, 0.0, -5.0])
     # It does not start later when the obstruction is gone.
     place = b.autopilot.vehicle.place
@@ -416,7 +416,7 @@ async def test_cancelled_call_does_not_block_the_next_call(b, fc, /):
             await climb
     await fc.execute("goTo", [5.0, 0.0, -5.0])
     assert fc._expected == {}
-    assert fc.exchange._questions == {}
+    assert fc.exchange._pending == {}
 
 
 @on_bench("bench")

@@ -45,7 +45,7 @@ def test_lasting_excess_is_corrected_once_then_helpless(before, beyond):
     corrected_at, first = found[0]
     assert first is Verdict.CORRECT
     assert corrected_at == pytest.approx(before * STEP + TIME, abs=1.01 * STEP)
-    assert all(v is Verdict.HELPLESS and at >= corrected_at + TIME - 1e-6 for at, v in found[1:])
+    assert all(v is Verdict.FAILED and at >= corrected_at + TIME - 1e-6 for at, v in found[1:])
 
 
 @given(st.floats(5.0, 30.0), st.floats(0.2, 0.45))
@@ -65,7 +65,7 @@ def test_slowing_vehicle_is_not_helpless(speed, late, gains, slows):
     gaining = [speed + gains * n * STEP for n in range(1, late + 1)]
     slowing = [max(top - slows * n * STEP, 2.0) for n in range(1, 200)]
     found = verdicts([*[speed] * 11, *gaining, *slowing])
-    given_up = [at for at, verdict in found if verdict is Verdict.HELPLESS]
+    given_up = [at for at, verdict in found if verdict is Verdict.FAILED]
     assert found[0] == (TIME, Verdict.CORRECT)
     if late * STEP + (top - BOUND) / slows < LONGEST * TIME - STEP:
         assert given_up == []
@@ -77,7 +77,7 @@ def test_vehicle_that_does_not_slow_down_in_time_is_helpless(speed, noise, sent_
     """The time starts when the correction was sent, or at its deadline."""
     watch, given_up = LimitWatch(BOUND, TIME), []
     for n, more in enumerate([0.0] * 11 + noise):
-        if watch.sample(speed + more, speed + more - BOUND, n * STEP) is Verdict.HELPLESS:
+        if watch.sample(speed + more, speed + more - BOUND, n * STEP) is Verdict.FAILED:
             given_up.append(n * STEP)
         if n == 10 + sent_after:
             watch.on_correction_sent(n * STEP)
@@ -86,7 +86,7 @@ def test_vehicle_that_does_not_slow_down_in_time_is_helpless(speed, noise, sent_
 
 def test_vehicle_that_slows_down_too_long_is_helpless():
     found = verdicts([*[20.0] * 11, *(20.0 - 0.2 * n * STEP for n in range(1, 100))])
-    assert found[:2] == [(TIME, Verdict.CORRECT), (TIME + LONGEST * TIME, Verdict.HELPLESS)]
+    assert found[:2] == [(TIME, Verdict.CORRECT), (TIME + LONGEST * TIME, Verdict.FAILED)]
 
 
 def test_hold_beyond_the_radius_is_a_sufficient_correction():
@@ -95,7 +95,7 @@ def test_hold_beyond_the_radius_is_a_sufficient_correction():
     found = [watch.sample(100.0, speed, n * STEP) for n, speed in enumerate(out)]
     assert [v for v in found if v] == [Verdict.CORRECT]
     # If it then moves further outwards, it is not.
-    assert Verdict.HELPLESS in [watch.sample(101.0, 2.0, (len(out) + n) * STEP) for n in range(12)]
+    assert Verdict.FAILED in [watch.sample(101.0, 2.0, (len(out) + n) * STEP) for n in range(12)]
 
 
 def test_gap_in_telemetry_is_no_excess():

@@ -137,7 +137,7 @@ async def test_standing_slow_vehicle_is_given_up(b, fc, /):
     await asyncio.sleep(5.0)
     b.autopilot.pace.change(0.001)
     start = asyncio.get_running_loop().time()
-    with pytest.raises(DeviceError, match=r"goTo gave up: no progress for 10 s, 8\.\d m from its goal"):
+    with pytest.raises(DeviceError, match=r"goTo failed: no progress for 10 s, 8\.\d m from its goal"):
         await flight
     assert asyncio.get_running_loop().time() - start < 12.0
 
@@ -165,15 +165,15 @@ def test_yaw_rate_is_judged_by_the_expected_turn():
 def test_rover_has_arrived_where_its_autopilot_stops():
     now, moves = 0.0, True
     arrival = Arrival(2.0, lambda: moves, lambda: now)
-    assert arrival.left(1.9) == 1.9
+    assert arrival.remaining(1.9) == 1.9
     moves = False
-    assert arrival.left(2.2) == 2.2
+    assert arrival.remaining(2.2) == 2.2
     now = 1.1
-    assert arrival.left(2.4) == 2.4  # it has drifted out
-    assert arrival.left(2.1) == 2.1
+    assert arrival.remaining(2.4) == 2.4  # it has drifted out
+    assert arrival.remaining(2.1) == 2.1
     now = 2.2
-    assert arrival.left(2.1) == 0.0
-    assert Arrival(0.0, lambda: False, lambda: now).left(0.0) == 0.0
+    assert arrival.remaining(2.1) == 0.0
+    assert Arrival(0.0, lambda: False, lambda: now).remaining(0.0) == 0.0
 
 
 def test_detour_gets_more_time_than_a_standstill():
@@ -195,9 +195,9 @@ def test_progress_timeout_grows_at_low_speed():
 def test_hover_during_a_return_is_no_progress():
     """With noise in the position."""
     way = ReturnProgress()
-    hover = [way.left((0.1 * (n % 3), -0.1 * (n % 2), -10.0)) for n in range(1000)]
+    hover = [way.remaining((0.1 * (n % 3), -0.1 * (n % 2), -10.0)) for n in range(1000)]
     assert set(hover) == {hover[0]}
-    assert way.left((0.0, 3.0, -10.0)) == pytest.approx(hover[0] - 3.0)
+    assert way.remaining((0.0, 3.0, -10.0)) == pytest.approx(hover[0] - 3.0)
 
 
 def test_farthest_point_of_a_circle():

@@ -270,10 +270,13 @@ def farthest(centre, radius):
         (lambda limits: limits.check_goal("orbit", farthest((60.0, 0.0, -5.0), 30.0)), "90.0 m from home is"),
         (lambda limits: limits.check_goal("orbit", farthest((0.0, 0.0, -5.0), 81.0)), "81.0 m from home is"),
         (lambda limits: limits.check_speed("setSpeed", 5.1), "setSpeed of 5.1 m/s is above the limit of 5"),
-        (lambda limits: limits.check_way_out((79.5, 0.0, 0.0), (1.0, 0.0, 0.0)), "beyond the limit of 80 m"),
-        (lambda limits: limits.check_way_out((0.0, 0.0, -29.5), (0.0, 0.0, -1.0)), "above the limit of 30 m"),
+        (lambda limits: limits.check_velocity((79.5, 0.0, 0.0), (1.0, 0.0, 0.0)), "beyond the limit of 80 m"),
+        (
+            lambda limits: limits.check_velocity((0.0, 0.0, -29.5), (0.0, 0.0, -1.0)),
+            "above the limit of 30 m",
+        ),
         # With a TTL of 1 s and 4 m for braking.
-        (lambda limits: limits.check_way_out((72.1, 0.0, 0.0), (4.0, 0.0, 0.0)), "beyond the limit of 80 m"),
+        (lambda limits: limits.check_velocity((72.1, 0.0, 0.0), (4.0, 0.0, 0.0)), "beyond the limit of 80 m"),
         (
             lambda limits: limits.check_return("returnHome", 31.0, "RTL_ALT"),
             r"31 m \(RTL_ALT\), above the limit",
@@ -293,10 +296,10 @@ def check_all_allowed(limits: Limits) -> None:
     limits.check_goal("orbit", farthest((50.0, 0.0, -5.0), 30.0))
     limits.check_speed("setSpeed", 5.0)
     limits.check_return("returnHome", 30.0, "RTL_ALT")
-    limits.check_way_out((71.9, 0.0, 0.0), (4.0, 0.0, 0.0))
+    limits.check_velocity((71.9, 0.0, 0.0), (4.0, 0.0, 0.0))
     # A vehicle that is already outside may come back.
-    limits.check_way_out((90.0, 0.0, -40.0), (-1.0, 0.0, 1.0))
-    limits.check_way_out(None, (99.0, 0.0, 0.0))
+    limits.check_velocity((90.0, 0.0, -40.0), (-1.0, 0.0, 1.0))
+    limits.check_velocity(None, (99.0, 0.0, 0.0))
 
 
 def test_without_limits_only_invalid_numbers_are_refused():

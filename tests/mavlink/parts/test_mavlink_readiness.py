@@ -41,7 +41,7 @@ CHECKED = {"present": PREARM | GYRO, "enabled": PREARM | GYRO}
     [
         (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO}, ""),
         (ARDUPILOT, {**CHECKED, "healthy": GYRO}, "the pre-arm checks have failed"),
-        (ARDUPILOT, CHECKED, "the pre-arm checks have failed; not well: 3d gyro"),
+        (ARDUPILOT, CHECKED, "the pre-arm checks have failed; unhealthy: 3d gyro"),
         # In STABILIZE the bit is set 19 s before a position exists.
         (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO, "position": False}, "its position is unknown"),
         # Without enabled checks, none can fail.

@@ -9,7 +9,7 @@ import pytest
 from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
-from lfield_mavlink.contact.components import GONE, PayloadSources
+from lfield_mavlink.contact.components import HEARTBEAT_TIMEOUT, PayloadSources
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.link.packet_sources import Source
 from lfield_sim.autopilot.equipment.camera import CARD, IMAGE, IMAGE_SIZE, VIDEO, VIDEO_RATE
@@ -66,9 +66,9 @@ def test_the_address_of_a_camera_is_used_until_its_heartbeats_are_gone():
     assert sources.source(ids) is None
     assert sources.accepts(one, ids, heartbeat, 0.0)
     assert sources.accepts(one, ids, ACK, 1.0)
-    assert not sources.accepts(other, ids, heartbeat, GONE)
-    assert sources.accepts(other, ids, heartbeat, GONE + 0.1)
-    assert (sources.accepts(one, ids, ACK, GONE + 0.1), sources.source(ids)) == (False, other)
+    assert not sources.accepts(other, ids, heartbeat, HEARTBEAT_TIMEOUT)
+    assert sources.accepts(other, ids, heartbeat, HEARTBEAT_TIMEOUT + 0.1)
+    assert (sources.accepts(one, ids, ACK, HEARTBEAT_TIMEOUT + 0.1), sources.source(ids)) == (False, other)
 
 
 @on_bench("filmed")
@@ -76,7 +76,7 @@ async def test_a_camera_that_is_gone_is_not_replaced_by_the_autopilot(b, fc, /):
     camera = await present(b, fc)
     deliver = b.filter
     b.filter = lambda link, packet: None if packet[6] == CAMERA else deliver(link, packet)
-    await asyncio.sleep(GONE + 1.0)
+    await asyncio.sleep(HEARTBEAT_TIMEOUT + 1.0)
     for instruction in ("triggerCamera", "stopVideo"):
         with pytest.raises(DeviceError, match=f"{instruction} refused: no heartbeat of camera 100"):
             await fc.execute(instruction, [])

@@ -152,10 +152,10 @@ def _attitude(flags, yaw):
     [(0, 2.0), (16, 1.0), (32, 2.0), (32 | 16, 2.0), (64, 1.0), (64 | 16, 1.0)],
 )
 def test_its_yaw_is_in_the_frame_of_its_flags(flags, yaw):
-    assert GimbalAttitude.of(_attitude(flags, 2.0), 1.0).yaw == pytest.approx(yaw)
-    assert GimbalAttitude.of(_attitude(flags, math.nan), 1.0) is None
+    assert GimbalAttitude.from_message(_attitude(flags, 2.0), 1.0).yaw == pytest.approx(yaw)
+    assert GimbalAttitude.from_message(_attitude(flags, math.nan), 1.0) is None
 
 
 def test_a_range_without_width_is_unknown():
-    assert GimbalManager(1, 1, (0.0, 0.0), (math.nan, math.nan)).why_beyond(3.0, 3.0) == ""
+    assert GimbalManager(1, 1, (0.0, 0.0), (math.nan, math.nan)).excess_reason(3.0, 3.0) == ""
     assert direction((0.0, 5.0, 5.0)) == pytest.approx((-math.pi / 4.0, math.pi / 2.0))

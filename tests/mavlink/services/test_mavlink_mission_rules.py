@@ -36,7 +36,9 @@ def item(name, north=0.0, east=0.0, height=10.0, frame=ABOVE_HOME, p=(0.0, 0.0, 
 def refusal(*items, limits=ALL, **about):
     """The reason for refusing a mission, '' if it is accepted."""
     binding = bind(PLUGIN, limits=limits, options={"system": 1})
-    situation = Situation(**{"kind": "copter", "px4": False, "home": HOME, "here": (0.0, 0.0, -5.0)} | about)
+    situation = Situation(
+        **{"kind": "copter", "px4": False, "home": HOME, "position": (0.0, 0.0, -5.0)} | about
+    )
     try:
         check_mission("m", items, Limits(binding, lambda why: DeviceError("fc", why)), _error, situation)
     except DeviceError as error:
@@ -232,8 +234,8 @@ def test_spline_curve_beyond_its_waypoints_is_checked():
     assert "the curve of item 2" in refusal(*bulge, item("NAV_WAYPOINT", -60.0))
     inside = [item("NAV_WAYPOINT", 0.0), item("NAV_SPLINE_WAYPOINT", 50.0), item("NAV_WAYPOINT", 50.0, 40.0)]
     assert refusal(*inside) == ""
-    assert "curve may start is unknown" in refusal(*inside, here=None, starts_here=True)
-    assert refusal(*inside, here=None) == ""
+    assert "curve may start is unknown" in refusal(*inside, position=None, starts_here=True)
+    assert refusal(*inside, position=None) == ""
     jump = item("DO_JUMP", p=(2.0, 3.0), frame=MISSION)
     assert "a mission with jumps" in refusal(*inside, jump)
     assert refusal(*inside, jump, limits={}) == ""

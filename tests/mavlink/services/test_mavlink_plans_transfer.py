@@ -82,9 +82,9 @@ class Vehicle:
         kind, count, items = self.upload
         if message.seq != len(items):
             return [self.ack(13, kind)]
-        items.append(Item.of(message))
+        items.append(Item.from_message(message))
         if self.in_place:
-            self.plans[kind][message.seq : message.seq + 1] = [Item.of(message)]
+            self.plans[kind][message.seq : message.seq + 1] = [Item.from_message(message)]
         if len(items) < count:
             return [self.request()]
         self.plans[kind], self.upload = items[: self.keeps], None
@@ -134,7 +134,7 @@ def route(count):
 
 
 def same(items, others):
-    return len(items) == len(others) and all(a.same(b) for a, b in zip(items, others, strict=True))
+    return len(items) == len(others) and all(a.matches(b) for a, b in zip(items, others, strict=True))
 
 
 @pytest.mark.parametrize("ardupilot", [True, False])

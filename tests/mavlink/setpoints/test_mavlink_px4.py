@@ -68,7 +68,7 @@ def test_px4_rover_that_cannot_turn_is_given_up(px4):
 
     async def mission(fc):
         await fc.execute("arm", [])
-        with pytest.raises(DeviceError, match=r"yaw gave up: driving round .* or 5 m away"):
+        with pytest.raises(DeviceError, match=r"yaw failed: driving round.* or moved 5 m away"):
             await fc.execute("yaw", [2.0])
         assert b.values["mode"] == "AUTO.LOITER"
         await asyncio.sleep(2.0)
