@@ -38,7 +38,7 @@ from lfield.errors import MissionTestError, PluginError, Stuck
 from lfield.event_loop import ServedFake
 from lfield.guard.core import HOST_TIMEOUT
 from lfield.simulate.computers.event_queue import EventQueue
-from lfield.simulate.computers.process_loop import closing_generators
+from lfield.simulate.computers.process_loop import closing_generators, release
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_machine import MachineClock, SimulatedMachine
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
@@ -179,6 +179,14 @@ class Desk:
             self._plugins, devices, checks, may_move, lambda finding: None, clock=self.clock, silence=silence
         )
         return self._played(trying, LONGEST)
+
+    def close(self) -> None:
+        """Ends all processes of the desk and of its simulated devices at once, and frees their memory."""
+        computers = [self._computer, *(fake.computer for fake in self._fakes)]
+        for computer in computers:
+            computer.power_off()
+        for computer in computers:
+            release(computer.machine)
 
     def _played(self, story: Awaitable[T], within: float) -> T:
         process, tasks, end = self._computer.start(), list[asyncio.Task[T]](), self.now + within

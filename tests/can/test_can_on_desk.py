@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import closing
 from functools import partial
 
 import pytest
@@ -14,9 +15,9 @@ from lfield.testing.desk import Desk
 
 def play(story, *bindings, devices=(DRIVE,)):
     """A fake with devices, and the bound ones behind a guard: `story(fake, *members)`."""
-    desk = Desk()
-    fake = desk.fake("can", *(word for device in devices for word in ("--device", device)))
-    desk.run(partial(story, fake), *(make(endpoint=fake.endpoint) for make in bindings))
+    with closing(Desk()) as desk:
+        fake = desk.fake("can", *(word for device in devices for word in ("--device", device)))
+        desk.run(partial(story, fake), *(make(endpoint=fake.endpoint) for make in bindings))
 
 
 def test_every_mode_of_a_drive(drive):

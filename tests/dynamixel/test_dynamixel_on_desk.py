@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 from coroutine_tests import scenario
@@ -15,8 +17,9 @@ from lfield_dynamixel import PLUGIN
 
 
 @pytest.fixture
-def desk() -> Desk:
-    return Desk()
+def desk() -> Iterator[Desk]:
+    with closing(Desk()) as desk:
+        yield desk
 
 
 @pytest.fixture

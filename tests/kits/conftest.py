@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import pytest
 
 from lfield.devices.conformance_run import conformance_checks
@@ -14,7 +16,8 @@ from lfield.testing.desk import Desk
 @pytest.fixture
 def desk():
     """A desk in virtual time."""
-    return Desk()
+    with closing(Desk()) as desk:
+        yield desk
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from contextlib import closing
 
 import pytest
 
@@ -17,7 +18,8 @@ SERVO = ("--baud", "1000000", "--servo", "1:XM430-W350")
 
 @pytest.fixture
 def desk():
-    return Desk()
+    with closing(Desk()) as desk:
+        yield desk
 
 
 @pytest.fixture
@@ -185,3 +187,11 @@ def test_a_real_endpoint_is_refused(desk):
 
     with pytest.raises(RealEndpoint, match="it tried to connect"):
         desk.run(story)
+
+
+def test_a_closed_desk_frees_its_simulated_devices(desk, fake, servo):
+    desk.run(moves, servo)
+    machines = [desk._computer.machine, *(device.computer.machine for device in desk._fakes)]
+    assert any(machine.pinned for machine in machines)
+    desk.close()
+    assert not any(machine.pinned for machine in machines)
