@@ -1,6 +1,6 @@
 """Supervision of a command by its receiver: counter, checksum and deadline, as in control units. Pure.
 
-A frame with a wrong checksum, or whose counter stands still or has jumped by more than MAX_JUMP, is not
+A frame with a wrong checksum, or whose counter is unchanged or has jumped by more than MAX_JUMP, is not
 used. After MAX_ERRORS of them in a row, or without a good frame for MAX_LATE periods, communication has
 failed, until QUALIFYING good frames follow each other. CRCs are those of crccheck.
 """

@@ -69,7 +69,7 @@ class ControlTable:
         return bytes(self._memory[self._target(place)] for place in range(address, end))
 
     def _target(self, address: int) -> int:
-        """The target of an address: indirect data is elsewhere."""
+        """The target of an address: indirect data is stored at another one."""
         pointer = self._indirect.get(address)
         if pointer is None:
             return address

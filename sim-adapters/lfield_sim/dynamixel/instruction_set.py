@@ -29,7 +29,7 @@ _LONGEST_1 = 253
 
 @dataclass(frozen=True, slots=True)
 class ServoAnswer:
-    """An answer, with the id and baud rate that the servo had when it was asked."""
+    """An answer, with the id and baud rate of the servo at the time of the request."""
 
     servo: Servo
     id: int

@@ -100,7 +100,7 @@ class ServoChain:
     def receive(self, data: bytes, now: float, baud: int | None = None) -> list[TimedReply]:
         """The answers to these bytes. `baud` is their baud rate, None if unknown.
 
-        Never raises: invalid data is noise.
+        Never raises: invalid data is treated as noise.
         """
         self.advance(now)
         if baud != self._baud or now - self._last_byte_at > PAUSE:
