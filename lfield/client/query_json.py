@@ -82,8 +82,8 @@ def parts_of(offer: Offer) -> dict[str, Offer]:
     if offer.kind == "equivalent":
         (inner,) = offer.parts.values()
         return {"by": inner}
-    # ways.part: the name of the whole, which is the way, and that of the need.
-    return {way.removeprefix(f"{offer.way}_"): part for way, part in offer.parts.items()}
+    # realisations.part: the name of the whole, which is the realisation, and that of the need.
+    return {field.removeprefix(f"{offer.realisation}_"): part for field, part in offer.parts.items()}
 
 
 def _fact(name: str, fact: Fact, registry: Registry) -> dict[str, Any]:

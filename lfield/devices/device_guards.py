@@ -226,7 +226,9 @@ class DeviceGuards:
         for guard in self._guards:
             for name in guard.actuated_devices:
                 held = guard.latched_devices.latched.get(name, "")
-                blocked = guard.latched_devices.barred or guard.latched_devices.locked_out.get(name, "")
+                blocked = guard.latched_devices.blocking_reason or guard.latched_devices.locked_out.get(
+                    name, ""
+                )
                 table[name] = blocked or (held if held != reason else "")
                 if held and not table[name]:
                     table[name] = await self._release(name)

@@ -37,7 +37,7 @@ from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.input_files import error_reason, read_head, require_file
 from lfield.text.source_text import Diagnostic, PlainFinding
 from lfield.text.terminal_escape import printable_argument
-from lfield.vm.offer_objects import ways
+from lfield.vm.offer_objects import realisations
 
 if TYPE_CHECKING:
     from lfield.lang.frontend import CheckResult
@@ -104,7 +104,7 @@ def load_mission(
 
         warnings += check_files(literals, bindings.all, team.types, plugins)
     drivers = drivers_for(plugins, {device.type for device in bindings.all})
-    registry = restrict_to_program(types.registry, loaded, plugins, hollow) if ways(loaded) else None
+    registry = restrict_to_program(types.registry, loaded, plugins, hollow) if realisations(loaded) else None
     chosen = chosen_fakes(bindings, without_doubles(needed, doubled), plugins, team.types) if simulate else []
     access = _access(deploy, team, loaded, types)
     mission = Mission(

@@ -58,7 +58,7 @@ def recordings_in(memory: RecordingMemory) -> list[HostRecording]:
 
 def _run(fleet: Fleet, fakes: MissionFakes, seconds: float, on_progress: Callable[[float], None]) -> None:
     """Runs until all hosts have ended, and raises an exception of a simulated device."""
-    while fleet.now < seconds and (fleet.lives or not fleet.left):
+    while fleet.now < seconds and (fleet.runs or not fleet.left):
         fleet.run(min(1.0, seconds - fleet.now))
         for failure in fakes.trouble:
             raise failure

@@ -83,9 +83,9 @@ def asked(
         transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / own, "host")))
         door = f"unix:{ring.folder}/door"
         listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", door)]
-        party = TargetTeam((), {"alpha": listeners[0].address, "here": door})
+        target = TargetTeam((), {"alpha": listeners[0].address, "here": door})
         try:
-            answers = await asyncio.to_thread(client.ask_teams, [party], request, keys)
+            answers = await asyncio.to_thread(client.ask_teams, [target], request, keys)
         finally:
             for listener in listeners:
                 listener.close()

@@ -7,7 +7,7 @@ from functools import lru_cache
 from itertools import combinations
 from typing import get_args
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.matching.best_first_join import BestFirstJoin, PlanStream, SearchBudget
 from lfield.capability.matching.condition_checker import POSITION
 from lfield.capability.matching.condition_evaluator import evaluator, fact_names
@@ -32,8 +32,8 @@ class Assembly:
         self.rule = rule
         self._ranking = ranking
         self._needs = list(rule.needs)
-        self._field = ways.composed(rule.name)
-        self._fields = [ways.part(rule.name, need) for need in rule.needs]
+        self._field = realisations.composed(rule.name)
+        self._fields = [realisations.part(rule.name, need) for need in rule.needs]
         self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
         self._distinct = frozenset(self._needs.index(need) for need in rule.distinct)
         expressions = [*rule.where, *rule.attributes.values()]

@@ -84,22 +84,22 @@ class TeamResult(Struct, frozen=True):
 class Matcher:
     """Evaluates queries on the directory of one host, without communication.
 
-    `ways` restricts the answers to the fields that a program was compiled with, by primitive (ways.py).
-    Candidates that are the same objects as in the last query are not evaluated again.
+    `realisations` restricts the answers to the fields that a program was compiled with, by primitive
+    (realisations.py). Candidates that are the same objects as in the last query are not evaluated again.
     """
 
     def __init__(
         self,
         registry: Registry,
         team: AgentSource,
-        ways: Mapping[str, Collection[str]] | None = None,
+        realisations: Mapping[str, Collection[str]] | None = None,
         limits: SearchLimits | None = None,
     ) -> None:
         self._limits = limits or SearchLimits()
         #: The number of offers if the query has no limit.
         self.max_offers = self._limits.offers
         self._team = team
-        self._rules = RuleIndex(registry, team.candidates, ways, self._limits.depth)
+        self._rules = RuleIndex(registry, team.candidates, realisations, self._limits.depth)
 
     def find(self, primitive: str, query: OfferQuery = ANY_OFFER) -> MatchResult:
         """The best offers for a query, at most its limit or `max_offers`.
@@ -157,7 +157,7 @@ class Matcher:
         return len(_agents(self._search(primitive, query).plans()))
 
     def explain(self, primitive: str, constraint: Expression | None = None) -> list[Rejection]:
-        """The possible providers that are not offered: agents of each way, and rules."""
+        """The possible providers that are not offered: agents of each realisation, and rules."""
         return Explanation(self._search(primitive, OfferQuery(constraint))).refusals()
 
     def _search(self, primitive: str, query: OfferQuery) -> Search:

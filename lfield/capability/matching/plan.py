@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.matching.condition_evaluator import Facts, Judge
 from lfield.capability.matching.ranking import ONE_TO_ONE, Ranking
 from lfield.capability.model import Equivalence
@@ -76,7 +76,7 @@ def satisfying(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]
 
 
 #: Cached, because every offer uses the same few names.
-_field = cache(ways.equivalent)
+_field = cache(realisations.equivalent)
 
 
 def substitute(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:

@@ -1,8 +1,8 @@
 """Lazy best-first search over an AND/OR graph of plans.
 
-A primitive is served by one of its ways (OR), a composition by all of its parts (AND). Every node is a lazy
-stream of plans in the order of their cost. A primitive merges its ways by a heap with a lower bound of the
-cost of each, so that expensive ways are never started; a composition joins its parts by the sum of their
+A primitive is served by one of its realisations (OR), a composition by all of its parts (AND). Every node is
+a lazy stream of plans in the order of their cost. A primitive merges them by a heap with a lower bound of the
+cost of each, so that expensive ones are never started; a composition joins its parts by the sum of their
 costs. Nodes are shared: each is computed once for a primitive and the number of rules that may still be
 chained.
 """
@@ -68,7 +68,7 @@ class _Route(Struct, frozen=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The rules of the way, in their order for ties."""
+        """The rules of the realisation, in their order for ties."""
         whole = () if self.assembly is None else (self.assembly.rule.name,)
         return (*(rule.name for rule in self.chain), *whole)
 
@@ -92,7 +92,7 @@ class Search:
         self.primitive, self.constraint = primitive, constraint
         self.conditions: Conditions = () if constraint is None else conjuncts(constraint)
         #: The parts of the query that affect the cost of an agent.
-        self.context = CostContext(attributes_of(constraint).union(also_named), team.here())
+        self.context = CostContext(attributes_of(constraint).union(also_named), team.location())
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
         #: Compositions of which only the best are offered.
@@ -250,7 +250,7 @@ class Search:
             self.cut.add(assembly.rule.name)
 
     def _routes(self, primitive: str, depth: int, used: Used) -> list[_Route]:
-        """All ways to a primitive, in the order in which they win ties."""
+        """All realisations of a primitive, in the order in which they win ties."""
         found = []
         for chain in self.rules.chains(primitive):
             if len(chain) > depth:
@@ -273,7 +273,7 @@ class Search:
     def _plans(
         self, route: _Route, primitive: str, depth: int, used: Used, conditions: Conditions
     ) -> Iterator[Plan]:
-        """The plans of one way that fulfil the conditions of its rules and of the query."""
+        """The plans of one realisation that fulfil the conditions of its rules and of the query."""
         all_conditions = (*_rule_conditions(route.chain), *conditions)
         behind: Iterable[Plan]
         if route.assembly is None:

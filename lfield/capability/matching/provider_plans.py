@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.matching.condition_evaluator import conjuncts, evaluator
 from lfield.capability.matching.failure_reasons import failure_reasons
 from lfield.capability.matching.plan import Plan, satisfying
@@ -20,7 +20,7 @@ class CostContext(Struct, frozen=True):
     """The parts of a query that affect the cost of an agent: its attributes and its position."""
 
     named: frozenset[str] = frozenset()
-    here: Position | None = None
+    location: Position | None = None
 
 
 class ProviderPlans:
@@ -35,7 +35,7 @@ class ProviderPlans:
         self._judges = [evaluator(c) for c in conjuncts(served.when)] if served.when else []
         self._ranking = ranking
         self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
-        self._field = ways.direct(provider.type)
+        self._field = realisations.direct(provider.type)
         self._own = served.attributes.keys()
         self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
         nominal = served.nominal | (provider.nominal - served.attributes.keys())
@@ -53,7 +53,7 @@ class ProviderPlans:
 
     def plans(self, candidates: Iterable[Candidate], context: CostContext) -> list[Plan]:
         """The plans of the candidates that can serve the primitive now."""
-        able = (c for c in candidates if not c.refusal and self.primitive not in c.barred)
+        able = (c for c in candidates if not c.refusal and self.primitive not in c.denials)
         found = [self.plan(candidate, context) for candidate in able]
         return list(satisfying(found, self._judges)) if self._judges else found
 
@@ -61,7 +61,7 @@ class ProviderPlans:
         """The reasons why a candidate cannot serve the primitive under any condition; () when it can."""
         if candidate.refusal:
             return (candidate.refusal,)
-        if reason := candidate.barred.get(self.primitive):
+        if reason := candidate.denials.get(self.primitive):
             return (reason,)
         if self._when is None:
             return ()
@@ -80,9 +80,9 @@ class ProviderPlans:
     def _set_context(self, context: CostContext) -> None:
         """Sets the query: its attributes, whose ages count, and its position, for distances."""
         counted = self._ranking.counted(self.primitive, context.named)
-        if self._context is None or (counted, context.here) != (self._counted, self._context.here):
+        if self._context is None or (counted, context.location) != (self._counted, self._context.location):
             self._cached.clear()
-            self._costing = self._ranking.agents(self.primitive, context.here)
+            self._costing = self._ranking.agents(self.primitive, context.location)
         self._context, self._counted = context, counted
 
     def _make_plan(self, candidate: Candidate) -> Plan:

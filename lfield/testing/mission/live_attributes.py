@@ -18,7 +18,7 @@ from lfield.capability.model import AttributeType
 from lfield.capability.offer import Provenance
 from lfield.errors import DoubleError
 from lfield.mission.mission import Mission
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.text.suggestions import did_you_mean, listed
 from lfield.vm.agent import TeamMember
 
@@ -39,10 +39,10 @@ def check(mission: Mission, member: TeamMember, double: object) -> None:
 
 
 def attach(
-    mission: Mission, member: TeamMember, life: HostLife, double: object, failures: list[BaseException]
+    mission: Mission, member: TeamMember, run: HostRun, double: object, failures: list[BaseException]
 ) -> None:
     """Connects a double's attributes to one incarnation of its host; exceptions go to `failures`."""
-    directory, clock = life.core.directory.directory, life.host.clock
+    directory, clock = run.core.directory.directory, run.host.clock
 
     def replaced(condition: AgentCondition) -> AgentCondition:
         bound = {name: s for name, s in condition.samples.items() if s.of == "stated"}

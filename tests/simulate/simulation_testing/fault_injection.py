@@ -230,7 +230,7 @@ class FaultInjector:
     # --- computers and processes ----------------------------------------------------------------------
 
     def _runs(self, fault: Fault, what: str) -> bool:
-        if runs := fault.one in self.fleet.lives:
+        if runs := fault.one in self.fleet.runs:
             self._note(f"{what} {fault.one}")
         return runs
 
@@ -264,7 +264,7 @@ class FaultInjector:
 
     def _start(self, name: str) -> None:
         """Restart a host, after its end if it is still ending."""
-        life = self.fleet.lives.get(name)
+        life = self.fleet.runs.get(name)
         if life is not None and life.shutdown_signals.first_requested.is_set():
             self._after(0.5, partial(self._start, name))
         elif life is None and name not in self.fleet.left:
@@ -272,7 +272,7 @@ class FaultInjector:
 
     def _stop(self, fault: Fault) -> None:
         if self._runs(fault, "stop"):
-            self._freeze(self.fleet.lives[fault.one].process, fault)
+            self._freeze(self.fleet.runs[fault.one].process, fault)
 
     def _freeze(self, process: SimulatedProcess, fault: Fault) -> None:
         process.loop.freeze()
@@ -364,7 +364,7 @@ class FaultInjector:
             self._freeze(guard, fault)
 
     def _guard(self, fault: Fault) -> SimulatedProcess | None:
-        hosts = [life.process for life in self.fleet.lives.values()]
+        hosts = [life.process for life in self.fleet.runs.values()]
         guards = [p for p in self.fleet.computers[fault.one].processes if p not in hosts]
         return guards[int(fault.size * len(guards))] if guards else None
 
