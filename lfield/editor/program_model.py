@@ -250,13 +250,13 @@ class ProgramModel:
         bodies = (finding for part in self.parts() for finding in part.findings)
         syntax = (finding for part in self.parts() for finding in part.syntax_findings)
         found = [*syntax, *self.symbols.found.found, *self._include_findings]
-        if self._generated.problems and not any(one.severity == "error" for one in found):
+        if self._generated.problems and not any(finding.severity == "error" for finding in found):
             found += self._generated.problems
         else:
             found += bodies
-        places = {(one.code, one.span.start, one.span.source): one for one in reversed(found)}
+        places = {(f.code, f.span.start, f.span.source): f for f in reversed(found)}
         ordered = reversed(places.values())
-        return sorted(ordered, key=lambda one: (one.span.source.name, one.span.line, one.span.start))
+        return sorted(ordered, key=lambda f: (f.span.source.name, f.span.line, f.span.start))
 
     def complete_program(self) -> CheckedProgram | None:
         """The program with all its bodies, for a check of its deployment; None if it has errors."""

@@ -91,9 +91,7 @@ def _resembles(host: str, other: str) -> bool:
         return False
     if name.lower() == known.lower():
         return False  # such hosts are reported as L709
-    start = next(
-        (at for at, (one, two) in enumerate(zip(name, known, strict=False)) if one != two), len(known)
-    )
+    start = next((at for at, (a, b) in enumerate(zip(name, known, strict=False)) if a != b), len(known))
     rest, known_rest = name[start:], known[start:]
     if rest[1:] == known_rest[1:]:
         return _are_neighbours(rest[:1].lower(), known_rest[:1].lower())

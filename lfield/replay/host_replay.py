@@ -36,7 +36,7 @@ from lfield.vm.turns.run_limit import ReplayedRunLimit
 class Divergence(NamedTuple):
     """The first difference in a turn: its subject, and the values in the recording and in the replay."""
 
-    what: str
+    subject: str
     recorded: object
     replayed: object
 

@@ -38,7 +38,7 @@ class FirstDifference:
     turn: int
     agent: str
     place: str
-    what: str
+    subject: str
     recorded: object
     replayed: object
 
@@ -50,7 +50,7 @@ class FirstDifference:
             "turn": self.turn,
             "agent": self.agent,
             "place": self.place,
-            "what": self.what,
+            "what": self.subject,
             "recorded": plain(self.recorded),
             "replayed": plain(self.replayed),
         }
@@ -162,12 +162,11 @@ def difference_at(replay: HostReplay, turn: ReplayedTurn) -> FirstDifference:
     """The difference of a turn that was just replayed, with the position of the agent that it concerns."""
     divergence, start = turn.divergence, replay.recording.start
     assert divergence is not None
-    agent = _agent_of(divergence.what, divergence.replayed, divergence.recorded)
+    agent = _agent_of(divergence.subject, divergence.replayed, divergence.recorded)
     place = position(replay.core, agent)
     at = turn.record.at - start.at + start.wall
-    return FirstDifference(
-        start.host, at, turn.number, agent, place, divergence.what, divergence.recorded, divergence.replayed
-    )
+    values = divergence.recorded, divergence.replayed
+    return FirstDifference(start.host, at, turn.number, agent, place, divergence.subject, *values)
 
 
 def position(core: HostCore, agent: str) -> str:

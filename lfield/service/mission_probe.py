@@ -165,7 +165,7 @@ class LocalProbe:
             owner = JournalOwner(found, self._host, machine_id())
             with closing(FileJournal(path, owner, lambda text: None, self._clock)) as journal:
                 plan = plan_discard(self._host, journal.records(), reason)
-                await journal.persist(plan.pages)
+                await journal.persist(plan.records)
             ended += [record.agent for record in plan.discarded]
         return list(dict.fromkeys(ended))
 

@@ -74,7 +74,7 @@ class Service:
         #: The time of the last log line about the open ballot.
         self._reported_at = -math.inf
         self._bundles = BundleReceiver(
-            store, verify, lambda: self._activation.kept, self.note, clock.monotonic
+            store, verify, lambda: self._activation.protected_bundles, self.note, clock.monotonic
         )
         runner.attach(self._store_run, self._start_refusal)
         self._missed_end = MissedEnd(runner, probe, clock)

@@ -138,7 +138,7 @@ class Fleet:
         self.failed: set[str] = set()
         self.replaced: set[str] = set()
         #: Hosts that never return.
-        self.gone: set[str] = set()
+        self.lost_hosts: set[str] = set()
         for name in names:
             with unscanned_heap():
                 self.boot(name)
@@ -177,10 +177,10 @@ class Fleet:
 
         Ignored for a host that is permanently lost.
         """
-        if name in self.gone:
+        if name in self.lost_hosts:
             return
         computer = self.computers[name]
-        if not computer.machine.on:
+        if not computer.machine.is_on:
             computer.power_on()
         process = computer.start()
         process.await_end(partial(self._ended, name, process))
@@ -201,15 +201,14 @@ class Fleet:
 
     def lose(self, name: str) -> None:
         """Lose a host's computer permanently, without notice."""
-        self.gone.add(name)
+        self.lost_hosts.add(name)
         self.power_off(name)
 
     @property
     def pages_left(self) -> list[Record]:
         """The disk contents of hosts that are not permanently lost."""
-        return [
-            record for name, disk in self.disks.items() if name not in self.gone for record in disk.pages()
-        ]
+        disks = [disk for name, disk in self.disks.items() if name not in self.lost_hosts]
+        return [record for disk in disks for record in disk.records()]
 
     def close(self) -> None:
         """End all processes at once, and free their memory."""
@@ -240,7 +239,7 @@ class Fleet:
             rng=random.Random(machine.rng.random()),
             unreachable_after=self.options.unreachable_after,
             journal=journal,
-            first_start=name not in self._known and not disk.pages(),
+            first_start=name not in self._known and not disk.records(),
             random_bytes=random.Random(f"orders {name} {machine.clock.monotonic()}").randbytes,
             record=self.options.record,
         )

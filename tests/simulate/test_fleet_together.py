@@ -84,7 +84,7 @@ class Team(Fleet):
 
     def begun(self, host: str) -> list[str]:
         """The outcomes in the records of calls on the disk of a host."""
-        return [page.outcome for page in self.disks[host].pages() if isinstance(page, PendingCallRecord)]
+        return [page.outcome for page in self.disks[host].records() if isinstance(page, PendingCallRecord)]
 
 
 def test_begun_calls_are_stored_and_deleted_after_their_results_were_fetched(tmp_path: Path) -> None:

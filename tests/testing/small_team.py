@@ -38,8 +38,8 @@ class SmallTeam(Fleet):
 
     def _look(self) -> None:  # type: ignore[override]
         self.doubles.release_monitors()
-        if self.doubles.trouble:
-            raise self.doubles.trouble.pop(0)
+        if self.doubles.failures:
+            raise self.doubles.failures.pop(0)
 
     def said(self, text: str) -> bool:
         return any(text in line for _, _, line in self.log)

@@ -106,7 +106,7 @@ class Assembly:
         return Plan(self._offer, (parts, facts), rank, values, unknown, self.rule.name)
 
     def _offer(self, plan: Plan) -> Offer:
-        parts, facts = plan.given
+        parts, facts = plan.inputs
         rule, offers = self.rule, [part.offer for part in parts]
         known = {
             name: self._fact(facts[name], fact_names(expression), offers)

@@ -73,7 +73,7 @@ class ProviderPlans:
         if context is not self._context:
             self._set_context(context)
         cached = self._cached.get(candidate.agent)
-        if cached is None or cached.given[0] is not candidate:
+        if cached is None or cached.inputs[0] is not candidate:
             cached = self._cached[candidate.agent] = self._make_plan(candidate)
         return cached
 
@@ -124,7 +124,7 @@ class ProviderPlans:
         return {name: f for name, f in facts.items() if f.of != "told" or name not in self._own}
 
     def _offer(self, plan: Plan) -> Offer:
-        candidate, amounts = plan.given
+        candidate, amounts = plan.inputs
         facts = {**self._facts, **self._counting(candidate.facts), **candidate.stated}
         facts = {name: fact for name, fact in facts.items() if name not in plan.unknown}
         return Offer(

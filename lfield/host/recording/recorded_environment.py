@@ -157,9 +157,9 @@ class RecordedEnvironment:
         """See `DeviceReadings`."""
         return self._note((Question.LAST, device, quantity), self._inner.last(device, quantity))
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         """See `DeviceReadings`."""
-        return self._note((Question.TROUBLE, device), self._inner.trouble(device))
+        return self._note((Question.TROUBLE, device), self._inner.unavailability(device))
 
     def may_be_cancelled(self, agent: str, call: DeviceCallRecord) -> bool:
         """See `Environment`."""

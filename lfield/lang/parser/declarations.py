@@ -45,12 +45,12 @@ def unit(s: TokenStream, kind: UnitKind) -> Unit:
     """A resource, coordinator or class; the stream is at its name."""
     name = s.expect_name(f"the name of the {kind}")
     usage: Usage = _usage(s, kind) if kind == "class" else _USAGES[kind]
-    made = Unit(kind, usage, name.text, name.span)
+    unit = Unit(kind, usage, name.text, name.span)
     if s.at("(", ":", "<") or (s.at_name() and s.at("extends", "implements")):
         _inheritance(s, kind, name.text)
     s.expect("{")
-    members(s, made, name.span)
-    return made
+    members(s, unit, name.span)
+    return unit
 
 
 def _inheritance(s: TokenStream, kind: UnitKind, name: str) -> None:

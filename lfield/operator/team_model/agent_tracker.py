@@ -213,7 +213,7 @@ class AgentTracker:
         self, host: str, agents: Iterable[AgentStatus], known: Iterable[CoordinatorState], now: float
     ) -> None:
         """Handle the status of all agents from one host. Only its coordinator records have start and hop."""
-        here = {reported.id for reported in agents}
+        reported_ids = {reported.id for reported in agents}
         self._linked.add(host)
         for copy in known:
             self._is_of(copy.agent, "coordinator")
@@ -229,7 +229,8 @@ class AgentTracker:
                 agent.hops, agent.served = max(agent.hops, reported.hops), reported.served
                 agent.set_position(reported.state, agent.file, agent.line, agent.waits)
         for agent in self._known.values():
-            if agent.host == host and agent.entry.agent not in here and not (agent.target or agent.finished):
+            is_reported = agent.entry.agent in reported_ids
+            if agent.host == host and not (is_reported or agent.target or agent.finished):
                 agent.set_position("not reported" if agent.when is not None else "")
 
     def on_startable(self, host: str, names: Iterable[str], now: float) -> None:

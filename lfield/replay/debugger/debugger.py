@@ -208,7 +208,7 @@ class Debugger:
         scope = WatchScope(moment, [(each.key.agent, each.frame) for each in frames], self.readings)
         expression = WatchExpression(text)
         if (found := expression.variable(scope)) is not None:
-            return scope.plain(found), scope.shown(text, found)
+            return scope.plain(found), scope.described(text, found)
         return expression.value(scope), None
 
     # --- moves ----------------------------------------------------------------------------------------

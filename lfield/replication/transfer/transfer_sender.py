@@ -266,7 +266,7 @@ class TransferSender:
     def _mark_in_doubt(self, copy: CoordinatorCopy, reason: str) -> list[Effect]:
         if copy.doubt_reason == reason:
             return []
-        copy.doubt(reason)
+        copy.mark_in_doubt(reason)
         return [MarkInDoubt(copy.agent, copy.generation, copy.sequence, copy.target, reason)]
 
     def _resume(self, copy: CoordinatorCopy, kind: str, reason: str) -> list[Effect]:

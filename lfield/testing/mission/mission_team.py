@@ -201,7 +201,7 @@ class MissionTeam:
         if self._patience.has_expired:
             raise self._stuck_error()
         self._raise_caught()
-        for failure in (*self._doubles.trouble, *self._fakes.trouble):
+        for failure in (*self._doubles.failures, *self._fakes.failures):
             raise failure
         if fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_lines())

@@ -34,7 +34,7 @@ class ResourceDoubles:
     double (`live_attributes`); its other offers are those of its class. `synchronized` portals are called one
     at a time, in order; the owner calls `release_monitors` after each event.
 
-    A failure of a double goes to `trouble`, and its portal never ends: the owner raises it after the event.
+    A failure of a double goes to `failures`, and its portal never ends: the owner raises it after the event.
     Raises DoubleError for a double that does not fit the mission.
     """
 
@@ -46,7 +46,7 @@ class ResourceDoubles:
             _check(mission.program, member, double)
             live_attributes.check(mission, member, double)
             self._doubles.append((member, double))
-        self.trouble: list[BaseException] = []
+        self.failures: list[BaseException] = []
         self._monitors: list[_Monitor] = []
 
     def attach(self, run: HostRun) -> None:
@@ -57,7 +57,7 @@ class ResourceDoubles:
             machine.hooks.stubs[member.id] = monitor.on_call
             self._monitors.append(monitor)
             if live_attributes.has_live_attributes(double):
-                live_attributes.attach(self._mission, member, run, double, self.trouble)
+                live_attributes.attach(self._mission, member, run, double, self.failures)
 
     def release_monitors(self) -> None:
         """Called after each event: starts the next calls of synchronized portals that are free."""
@@ -75,7 +75,7 @@ class ResourceDoubles:
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:
-            self.trouble.append(error)
+            self.failures.append(error)
 
     def _end(self, machine: Machine, later: _Later, call: StubCall, answer: object) -> None:
         wait = answer if isinstance(answer, After) else None

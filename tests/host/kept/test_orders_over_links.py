@@ -71,7 +71,7 @@ class Desk:
         return sum("EMERGENCY STOP by anna" in text for _, _, text in self.fleet.log)
 
     def kept(self) -> set[bytes]:
-        pages = self.fleet.disks["alpha"].pages()
+        pages = self.fleet.disks["alpha"].records()
         return {page.order for page in pages if isinstance(page, EmergencyStopFlag | PauseFlag)}
 
 

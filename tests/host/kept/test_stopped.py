@@ -93,7 +93,7 @@ def flying(folder: Path, program: str = PROGRAM, *, keeps: bool = True) -> tuple
 
 def kept(fleet: Fleet) -> str:
     return "".join(
-        page.reason for page in fleet.disks["alpha"].pages() if isinstance(page, EmergencyStopFlag)
+        page.reason for page in fleet.disks["alpha"].records() if isinstance(page, EmergencyStopFlag)
     )
 
 

@@ -59,7 +59,7 @@ class Telemetry:
     def __init__(self, running, number):
         self.clock, self.number, self.values = running.host.clock, number, {}
         guards = running.host.guards
-        guards.open, guards.last, guards.trouble = self.open, self.last, {}.get
+        guards.open, guards.last, guards.unavailability = self.open, self.last, {}.get
 
     async def open(self, devices, recording):
         pass

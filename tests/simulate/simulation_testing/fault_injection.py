@@ -136,7 +136,7 @@ class FaultInjector:
         for disk in self.fleet.disks.values():
             disk.full, disk.broken, disk.slow = False, False, 0.0
         self.fleet.heal_all()
-        if self.fleet.gone and self.operator is None:
+        if self.fleet.lost_hosts and self.operator is None:
             self.operator = SimulatedOperator(self.fleet, self._judges, self._rng)
         if self.operator is not None:
             self.operator.free_all()
@@ -251,7 +251,7 @@ class FaultInjector:
 
     def _gone(self, fault: Fault) -> None:
         """Lose a host permanently, if the others can continue without it."""
-        members, gone = self.fleet.mission.recovery.members, self.fleet.gone
+        members, gone = self.fleet.mission.recovery.members, self.fleet.lost_hosts
         if len(gone) < (len(members) - 1) // 2 and fault.one not in gone:
             self._note(f"{fault.one} is permanently lost")
             self.fleet.lose(fault.one)
@@ -345,7 +345,7 @@ class FaultInjector:
 
     def _wreck(self, fault: Fault) -> None:
         """Lose a host permanently; no majority may continue without it, so an operator must act."""
-        if self.operator is None or self.fleet.gone or self.fleet.mission.fenced:
+        if self.operator is None or self.fleet.lost_hosts or self.fleet.mission.fenced:
             return
         self._note(f"{fault.one} is wrecked")
         self.fleet.lose(fault.one)

@@ -227,7 +227,7 @@ def test_a_crash_during_the_wait_leaves_a_start_that_waits(tmp_path: Path) -> No
     fleet.boot("alpha")
     fleet.run(20.0)
     assert not started(fleet)
-    assert not any(isinstance(page, StartCounter) and page.count for page in fleet.disks["alpha"].pages())
+    assert not any(isinstance(page, StartCounter) and page.count for page in fleet.disks["alpha"].records())
     fleet.boot("carol")
     fleet.run(3.0)
     assert started(fleet)

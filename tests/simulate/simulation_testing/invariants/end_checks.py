@@ -52,7 +52,7 @@ class EndChecks:
         for name, disk in fleet.disks.items():
             if name not in members:
                 continue
-            for page in disk.pages():
+            for page in disk.records():
                 if (
                     isinstance(page, CoordinatorRecord)
                     and page.state == "EXITED"

@@ -128,6 +128,6 @@ def _end(fleet: Fleet) -> list[str]:
         f"over {_seconds(fleet.now)}",
         *(f"exit {name} {status}" for name, status in sorted(fleet.left.items())),
         *(f"failed {name}" for name in sorted(fleet.failed)),
-        *(f"gone {name}" for name in sorted(fleet.gone)),
+        *(f"gone {name}" for name in sorted(fleet.lost_hosts)),
         *(f"runs {start} {sorted(hosts)}" for start, hosts in sorted(copies(fleet).items())),
     ]

@@ -275,7 +275,7 @@ class RunJudge:
         return (agent, generation) if agent else self.reserved.caller_of(arguments)
 
     def _on_disk(self, name: str) -> list[Record] | None:
-        return self.fleet.disks[name].pages() if self.fleet.options.keeps else None
+        return self.fleet.disks[name].records() if self.fleet.options.keeps else None
 
     # --- observations: devices and logs -----------------------------------------------------------------
 
@@ -295,7 +295,7 @@ class RunJudge:
     def _disks(self) -> None:
         latest = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
         going = [(agent, start) for agent, start in latest if not self.orders.is_given_up(agent, start)]
-        kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.pages()]
+        kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.records()]
         for name, page in kept:
             self._is_saved(name, page)
         self._blocks.check_disks(kept)
@@ -326,12 +326,12 @@ class RunJudge:
         places = self._starts[start].places
         if any(self._lost(name, memory) for name, memory in places.items()):
             return True
-        last = last_location(start, (page for disk in self.fleet.disks.values() for page in disk.pages()))
+        last = last_location(start, (page for disk in self.fleet.disks.values() for page in disk.records()))
         # It is unknown whether the transfer was sent.
         return last is not None and last.state == "PREPARED" and self._lost(last.target, last.receiver_memory)
 
     def _lost(self, name: str, memory: int) -> bool:
-        wrecked = name in self.fleet.gone and not self.fleet.mission.fenced
+        wrecked = name in self.fleet.lost_hosts and not self.fleet.mission.fenced
         return wrecked or self.fleet.disks[name].identity != self._memories.get(memory, memory)
 
     def _line(self, at: float, host: str, text: str) -> None:
@@ -350,7 +350,7 @@ class RunJudge:
 
     def on_settled(self) -> None:
         """The faults have been over for so long that every host must be reached."""
-        self._calls.settled = not self.fleet.gone
+        self._calls.settled = not self.fleet.lost_hosts
 
     def on_healed(self) -> None:
         """The faults are over: from now on all coordinators must make progress."""
@@ -376,7 +376,7 @@ class RunJudge:
             return is_shadowed(agent, self.fleet.pages_left)
         if generation := self._latest(agent):
             start = agent, generation
-            if self.fleet.gone and self._in_doubt(start):
+            if self.fleet.lost_hosts and self._in_doubt(start):
                 return self.orders.acted and is_shadowed(agent, self.fleet.pages_left)
             if self.fleet.options.keeps:
                 return not self._in_doubt(start)

@@ -89,7 +89,7 @@ def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bo
     )
     for disk in fleet.disks.values():
         disk.sync = story.sync
-    fleet.timeline.most = MAX_EVENTS
+    fleet.timeline.max_events = MAX_EVENTS
     storm = FaultInjector(fleet, story.forecast, judge.orders)
     # A guard without a host writes to the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
