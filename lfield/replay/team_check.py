@@ -151,7 +151,7 @@ def _guard_result(incarnation: Incarnation, device: str, replay: GuardReplay) ->
     found = PartResult(incarnation.host, start.incarnation, guard=device)
     found.digests = replay.digests
     if (first := replay.first) is not None:
-        subject = f"decision of the guard of {device} about {first.given}"
+        subject = f"decision of the guard of {device} about {first.input}"
         found.first = FirstDifference(
             incarnation.host, first.wall_time, 0, "", "", subject, first.recorded, first.replayed
         )

@@ -70,7 +70,7 @@ class Service:
         #: The time of the vote in the open ballot (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
         #: The reason why the state could not be stored at the last attempt, '' if it was.
-        self._store_trouble = ""
+        self._store_problem = ""
         #: The time of the last log line about the open ballot.
         self._reported_at = -math.inf
         self._bundles = BundleReceiver(
@@ -139,7 +139,7 @@ class Service:
             run,
             state.ballot,
             unfinished[:MAX_UNFINISHED],
-            truncate(self._disk_trouble() or await self._refusal(None)),
+            truncate(self._disk_problem() or await self._refusal(None)),
             self._clock.time(),
         )
 
@@ -384,15 +384,15 @@ class Service:
         try:
             self._store.save(record)
         except OutputFileError as error:
-            if str(error) != self._store_trouble:
+            if str(error) != self._store_problem:
                 self.note(messages.STATE_ERROR.line(reason=error))
-            self._store_trouble = str(error)
+            self._store_problem = str(error)
             raise
-        self._store_trouble = ""
+        self._store_problem = ""
 
-    def _disk_trouble(self) -> str:
+    def _disk_problem(self) -> str:
         """The reason why no vote can be stored now; '' after success, or when the disk has room again."""
-        if self._store_trouble:
+        if self._store_problem:
             with suppress(OutputFileError):
                 self._store_run()
-        return f"no vote can be stored: {self._store_trouble}; make room" if self._store_trouble else ""
+        return f"no vote can be stored: {self._store_problem}; make room" if self._store_problem else ""

@@ -260,7 +260,7 @@ class AgentDirectory:
     ) -> _CachedCandidate:
         known, reported, down_since = self._profiles[agent.id], {}, state.down_since
         unavailability = (
-            condition.trouble if down_since is None else Unavailability("unreachable", down_since)
+            condition.unavailability if down_since is None else Unavailability("unreachable", down_since)
         )
         if condition.samples:
             reported = _with_ages(condition.samples, state.fresh_until, now)
@@ -283,13 +283,13 @@ class AgentDirectory:
 
 
 def _with_ages(samples: Mapping[str, AttributeSample], kept_until: float, now: float) -> dict[str, Fact]:
-    """The received values with their current ages; `kept` ones were renewed up to `kept_until`."""
+    """The received values with their current ages; `is_kept_current` ones were renewed up to `kept_until`."""
     facts = {}
     for name, sample in samples.items():
         age = 0.0
         if sample.of == "measured":
             age = now - sample.when
-            if sample.kept and kept_until > sample.at:
+            if sample.is_kept_current and kept_until > sample.at:
                 age -= kept_until - sample.at
         facts[name] = Fact(sample.value, age if age > 0.0 else 0.0, sample.of)
     return facts

@@ -40,7 +40,7 @@ ANSWER_ALL = 2
 #: Parameters of the Clear instruction: multi-turn information, and four fixed bytes.
 CLEAR_TURNS = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
 #: Registers that Factory Reset keeps, by option.
-KEPT = {0xFF: frozenset[str](), 0x01: frozenset({"id"}), 0x02: frozenset({"id", "baud_rate"})}
+PRESERVED_BY_OPTION = {0xFF: frozenset[str](), 0x01: frozenset({"id"}), 0x02: frozenset({"id", "baud_rate"})}
 
 
 class Servo:
@@ -242,9 +242,9 @@ class Servo:
 
     def factory_reset(self, option: int) -> None:
         """Resets the registers; `option` selects those that are kept. Raises InstructionRefused."""
-        if option not in KEPT:
+        if option not in PRESERVED_BY_OPTION:
             raise InstructionRefused(RefusalCode.RANGE)
-        self.table.reset(KEPT[option])
+        self.table.reset(PRESERVED_BY_OPTION[option])
         self.reboot()
 
     def clear(self, parameters: bytes) -> None:
