@@ -35,17 +35,17 @@ class KnownTeam:
 
 
 def query_data(
-    question: CapabilityQuery, known: KnownTeam, answers: Sequence[PrimitiveAnswer], registry: Registry
+    question: CapabilityQuery, known_team: KnownTeam, answers: Sequence[PrimitiveAnswer], registry: Registry
 ) -> dict[str, Any]:
     """The whole answer; lfield/docs/operations.md has its shape."""
     constraint = question.constraint
     return {
         "query": question.text,
         "constraint": constraint.text.strip() if constraint is not None else None,
-        "source": "team" if known.is_running else "files",
-        "answered": list(known.answered),
-        "silent": {host: str(error) for host, error in known.unanswered.items()},
-        "codes": {host: error.code for host, error in known.unanswered.items()},
+        "source": "team" if known_team.is_running else "files",
+        "answered": list(known_team.answered),
+        "silent": {host: str(error) for host, error in known_team.unanswered.items()},
+        "codes": {host: error.code for host, error in known_team.unanswered.items()},
         "capabilities": [
             {
                 "primitive": answer.primitive.name,

@@ -151,7 +151,7 @@ def roster_from_files(
     `stated` are the attributes from their bindings, `at` the querying host ('' for none), for the number of
     hops, and `pose` its place.
     """
-    found = (
+    candidates = (
         known.candidate(
             _hops(known, at),
             "",
@@ -161,7 +161,7 @@ def roster_from_files(
         )
         for known in agent_profiles(registry, agents).values()
     )
-    return Roster(found, registry.attributes, pose)
+    return Roster(candidates, registry.attributes, pose)
 
 
 def roster_from_hosts(

@@ -115,19 +115,19 @@ def check_part(
     recording: HostRecording, replay: HostReplay, on_progress: OnProgress = lambda turns: None
 ) -> PartResult:
     """Replay one part up to its first difference."""
-    found = PartResult(recording.host, recording.start.incarnation)
+    result = PartResult(recording.host, recording.start.incarnation)
     first = recording.started_at
     for turn in replay:
-        found.turns += 1
-        found.digests += turn.digests
-        found.seconds = turn.record.at - first
-        if found.turns % PROGRESS_TURNS == 0:
+        result.turns += 1
+        result.digests += turn.digests
+        result.seconds = turn.record.at - first
+        if result.turns % PROGRESS_TURNS == 0:
             on_progress(PROGRESS_TURNS)
         if turn.divergence is not None:
-            found.first = difference_at(replay, turn)
+            result.first = difference_at(replay, turn)
             break
-    on_progress(found.turns % PROGRESS_TURNS)
-    return found
+    on_progress(result.turns % PROGRESS_TURNS)
+    return result
 
 
 def check_guards(recording: TeamRecording) -> tuple[list[PartResult], list[str]]:

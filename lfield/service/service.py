@@ -165,18 +165,18 @@ class Service:
         finally:
             if self._activation.open_ballot is None:
                 await self._release()
-        found = ballots.answer(self._activation, self._host, ballot.id)
-        reason = found.reasons.get(self._host, "")
+        state = ballots.answer(self._activation, self._host, ballot.id)
+        reason = state.reasons.get(self._host, "")
         self.note(
             messages.VOTED.line(
-                vote=found.votes[self._host],
+                vote=state.votes[self._host],
                 bundle=short_digest(ballot.digest),
                 by=ballot.by,
                 reason=f": {reason}" if reason else "",
             )
         )
-        await self._carry_out(found)
-        return found
+        await self._carry_out(state)
+        return state
 
     async def on_votes(self, id: bytes, votes: Mapping[str, Vote]) -> None:
         """Handle votes of other hosts, from a desk or by requests to them."""
@@ -187,18 +187,18 @@ class Service:
             if before is not None and after is not None and after.outcome != "open":
                 await self._carry_out(after)
 
-    async def _carry_out(self, found: BallotState) -> None:
+    async def _carry_out(self, state: BallotState) -> None:
         """Execute a result: the host of another bundle ends, or a paused one continues."""
-        if found.outcome == "open" or found.ballot is None:
+        if state.outcome == "open" or state.ballot is None:
             return
-        bundle = short_digest(found.ballot.digest)
-        if found.outcome == "activated":
-            hosts = listed(found.ballot.hosts)
+        bundle = short_digest(state.ballot.digest)
+        if state.outcome == "activated":
+            hosts = listed(state.ballot.hosts)
             self.note(messages.ACTIVATED.line(bundle=bundle, hosts=hosts))
             await self._end_other_bundle()
             return
-        reasons = "; ".join(f"{host}: {reason}" for host, reason in found.reasons.items())
-        opponents = listed([host for host, vote in found.votes.items() if vote == "no"])
+        reasons = "; ".join(f"{host}: {reason}" for host, reason in state.reasons.items())
+        opponents = listed([host for host, vote in state.votes.items() if vote == "no"])
         self.note(messages.ABORTED.line(bundle=bundle, reason=reasons or f"vote no of {opponents}"))
         await self._release()
 

@@ -258,7 +258,7 @@ class AgentDirectory:
         *,
         own: bool,
     ) -> _CachedCandidate:
-        known, reported, down_since = self._profiles[agent.id], {}, state.down_since
+        profile, reported, down_since = self._profiles[agent.id], {}, state.down_since
         unavailability = (
             condition.unavailability if down_since is None else Unavailability("unreachable", down_since)
         )
@@ -266,12 +266,12 @@ class AgentDirectory:
             reported = _with_ages(condition.samples, state.fresh_until, now)
         reason = unavailability or (None if own else condition.reserved)
         refusal = reason.sentence(now) if reason else ""
-        candidate = known.candidate(
+        candidate = profile.candidate(
             state.hops, refusal, reported, condition.unknown, "{1} has not reported {0} yet"
         )
         if denials:
             candidate = replace(candidate, denials=denials)
-        passing = reason or (reported and known.measured)
+        passing = reason or (reported and profile.measured)
         return _CachedCandidate(
             candidate,
             condition,

@@ -108,7 +108,7 @@ class Assembly:
     def _offer(self, plan: Plan) -> Offer:
         parts, facts = plan.inputs
         rule, offers = self.rule, [part.offer for part in parts]
-        known = {
+        common_facts = {
             name: self._fact(facts[name], fact_names(expression), offers)
             for name, _, expression in self._attributes
             if name in facts
@@ -120,7 +120,7 @@ class Assembly:
             _listed(offer.agent for offer in offers),
             _listed(offer.host for offer in offers),
             plan.cost,
-            known,
+            common_facts,
             dict(zip(self._fields, offers, strict=True)),
             rule.name,
             self._ranking.terms(ONE_TO_MANY, [rule.loss, len(parts) - 1]),

@@ -140,17 +140,17 @@ class Matcher:
             members, cost = PlanStream(_by_agents(self._ordered(search, query.order)[0])), _no_cost
         else:
             members, cost = PlanStream(_by_agents(search.plans())), self._rules.ranking.whole
-        found, more = [], False
+        offer_teams, more = [], False
         limit = query.limit or self.max_offers
         try:
             effort = SearchBudget(self._limits.failures, self._limits.steps)
             for team in islice(teams(members, size, cost, effort), limit + 1):
-                found.append([plan.offer for plan in team])
+                offer_teams.append([plan.offer for plan in team])
         except SearchBudgetExceeded:
             more = True
         agents = len(_agents(members.all()))
         cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
-        return TeamResult(found[:limit], agents, cut, more, full, len(found) > limit)
+        return TeamResult(offer_teams[:limit], agents, cut, more, full, len(offer_teams) > limit)
 
     def agents(self, primitive: str, query: OfferQuery = ANY_OFFER) -> int:
         """The number of agents that take part in any offer."""
@@ -167,19 +167,19 @@ class Matcher:
     def _ordered(self, search: Search, keys: Sequence[SortKey]) -> tuple[list[Plan], tuple[str, ...]]:
         """All plans by some keys, then by their ranks; and the keys of which no agent has a value."""
         values = [evaluator(key.value) for key in keys]
-        known = [False] * len(keys)
+        has_values = [False] * len(keys)
 
         def place(plan: Plan) -> tuple[Any, ...]:
             found: list[tuple[bool, Any]] = []
             for number, (key, value) in enumerate(zip(keys, values, strict=True)):
                 amount: Any = value(plan.values)
-                known[number] = known[number] or amount is not None
+                has_values[number] = has_values[number] or amount is not None
                 found.append((amount is None, 0 if amount is None else -amount if key.descending else amount))
             return (*found, plan.rank)
 
         plans = sorted(search.every_plan(), key=place)
         unordered = [
-            key.value.text for key, is_known in zip(keys, known, strict=True) if plans and not is_known
+            key.value.text for key, is_known in zip(keys, has_values, strict=True) if plans and not is_known
         ]
         count_by_rule: Counter[str] = Counter()
         best = []

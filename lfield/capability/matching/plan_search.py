@@ -142,18 +142,18 @@ class Search:
     def count(self) -> int:
         """The number of `plans`, without making those of single agents."""
         wholes: dict[str, list[Iterator[Plan]]] = {}
-        found = 0
+        total = 0
         for route in self._routes(self.primitive, self.limits.depth, NOTHING):
             if route.assembly is None:
                 agents = self.agents(_end(route.chain, self.primitive))
                 rule_conditions = _rule_conditions(route.chain)
                 plans = satisfying(agents, judges((*rule_conditions, *self.conditions)))
-                found += sum(1 for _ in plans) if rule_conditions or self.conditions else len(agents)
+                total += sum(1 for _ in plans) if rule_conditions or self.conditions else len(agents)
             else:
                 plans = self._plans(route, self.primitive, self.limits.depth, NOTHING, self.conditions)
                 wholes.setdefault(route.assembly.rule.name, []).append(plans)
         limit = self.limits.per_rule
-        return found + sum(len(list(islice(joined(*plans), limit))) for plans in wholes.values())
+        return total + sum(len(list(islice(joined(*plans), limit))) for plans in wholes.values())
 
     def every_plan(self) -> Iterator[Plan]:
         """All plans that fulfil the constraint, of compositions as many as may be tried; in no order."""
@@ -251,18 +251,18 @@ class Search:
 
     def _routes(self, primitive: str, depth: int, used: Used) -> list[_Route]:
         """All realisations of a primitive, in the order in which they win ties."""
-        found = []
+        routes = []
         for chain in self.rules.chains(primitive):
             if len(chain) > depth:
                 break
             end = _end(chain, primitive)
             if own := self.agents(end):
-                found.append(_Route(chain, None, self._by_chain(chain, own[0].cost)))
+                routes.append(_Route(chain, None, self._by_chain(chain, own[0].cost)))
             for assembly in self.rules.compositions(end) if len(chain) < depth else ():
                 least_cost = assembly.least_cost(self._least_costs)
                 if least_cost is not None and assembly.rule.name not in used:
-                    found.append(_Route(chain, assembly, self._by_chain(chain, least_cost)))
-        return sorted(found, key=lambda route: (len(route.names), route.names))
+                    routes.append(_Route(chain, assembly, self._by_chain(chain, least_cost)))
+        return sorted(routes, key=lambda route: (len(route.names), route.names))
 
     def _by_chain(self, chain: Chain, cost: float) -> float:
         """The cost of an offer by a chain, from the cost at its end."""

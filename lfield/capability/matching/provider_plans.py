@@ -87,9 +87,9 @@ class ProviderPlans:
 
     def _make_plan(self, candidate: Candidate) -> Plan:
         # Written out, because a thousand agents come through here in a query.
-        known, live, unknown = self._counting(candidate.facts), self._live, candidate.unknown
+        facts, live, unknown = self._counting(candidate.facts), self._live, candidate.unknown
         values = self._stated(candidate).copy()
-        for name, fact in known.items():
+        for name, fact in facts.items():
             value = values[name] = fact.value
             too_old = name in live and fact.age > live[name]
             if too_old or (type(value) is float and not math.isfinite(value)):
@@ -98,8 +98,8 @@ class ProviderPlans:
             values.pop(name, None)
         staleness = 0.0
         for name, limit in self._counted.items():
-            if name in known and known[name].age > staleness * limit:
-                staleness = known[name].age / limit
+            if name in facts and facts[name].age > staleness * limit:
+                staleness = facts[name].age / limit
         cost, amounts = self._costing(values, candidate.hops, staleness)
         rank = cost, 0, (), (candidate.number,)
         return Plan(self._make, (candidate, amounts), rank, values, unknown)

@@ -362,32 +362,32 @@ def _on_hop(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
                 agent.on_arrival(host, generation, sequence, when)
 
 
-def _on_record(agent: _Agent, host: str, known: CoordinatorState, now: float) -> None:
+def _on_record(agent: _Agent, host: str, record: CoordinatorState, now: float) -> None:
     """Handle the record of a host about one start."""
-    generation, sequence = known.generation, known.sequence
+    generation, sequence = record.generation, record.sequence
     if agent.knows_newer_than(generation, sequence):
         return
     is_newer = (generation, sequence) > (agent.generation, agent.sequence) or agent.when is None
-    match known.state:
+    match record.state:
         case "RUN":
-            agent.hops, agent.counted = known.hops, True
+            agent.hops, agent.counted = record.hops, True
             if is_newer or agent.host != host or agent.target:
                 agent.set_running(host, generation, sequence, now)
         case "FROZEN" | "PREPARED":
             agent.set_running(host, generation, sequence, now)
-            agent.target = known.where
+            agent.target = record.where
             agent.set_position("on its way")
         case "IN DOUBT":
-            agent.doubt = known.detail or "unknown whether it is alive"
+            agent.doubt = record.detail or "unknown whether it is alive"
         case "MOVED":
             if is_newer:
-                agent.set_running(known.where, generation, sequence, now)
+                agent.set_running(record.where, generation, sequence, now)
         case "EXITED":
-            if known.where in ("", host):
+            if record.where in ("", host):
                 # A record of an end does not contain the number of hops.
-                agent.hops, agent.counted = max(agent.hops, known.hops), True
-            agent.finished, agent.detail = known.outcome or "done", known.detail
-            agent.generation, agent.host, agent.target, agent.doubt = generation, known.where or host, "", ""
+                agent.hops, agent.counted = max(agent.hops, record.hops), True
+            agent.finished, agent.detail = record.outcome or "done", record.detail
+            agent.generation, agent.host, agent.target, agent.doubt = generation, record.where or host, "", ""
             agent.set_position("")
         case "PARKED":
             agent.set_position("parked")

@@ -70,18 +70,18 @@ def _samples(mission: Mission, member: TeamMember, values: object, now: float) -
         raise DoubleError(
             f"the {NAME} of the double of {member.id} are {values!r}: give a dict of names and values"
         )
-    known = _known(mission, member)
+    attributes = _known(mission, member)
     for name, value in values.items():
-        if name not in known:
-            hint = did_you_mean(str(name), known) or f"it has {listed(known) or 'none'}"
+        if name not in attributes:
+            hint = did_you_mean(str(name), attributes) or f"it has {listed(attributes) or 'none'}"
             raise DoubleError(
                 f"the double of {member.id} provides {name!r}, but {member.type} has no such live attribute "
                 f"in this mission: {hint}"
             )
-        if not _fits(value, known[name]):
+        if not _fits(value, attributes[name]):
             raise DoubleError(
                 f"the double of {member.id} provides {name} = {value!r}, which is not a value of type "
-                f"{known[name]}"
+                f"{attributes[name]}"
             )
     return {
         name: AttributeSample(value, now, now, of=_provenance(mission, name))
