@@ -28,7 +28,7 @@ class CopyRecovery:
         self._host, self._copies, self._termination = host, copies, termination
 
     def newest_copy(self, agent: str) -> CoordinatorCopy | None:
-        """The newest recovered, or a stored copy that has not continued or may not continue; None if there is
+        """The newest shadow, or a stored copy that has not continued or may not continue; None if there is
         none, or if the coordinator runs here.
         """
         copies = self._copies.starts_of(agent)
@@ -67,7 +67,7 @@ class CopyRecovery:
 def stop_below(copies: Collection[CoordinatorCopy], generation: int, reason: str) -> list[Effect]:
     """Stop every copy here of a start before `generation`.
 
-    The stopped copies have not terminated: a later start may resume from the stored block, as from a recovered.
+    The stopped copies have not terminated: a later start may resume from the stored block, as from a shadow.
     """
     effects: list[Effect] = []
     for copy in copies:
