@@ -51,8 +51,8 @@ def carrier_positions(team: MissionTeam) -> Iterator[tuple[Point, Point]]:
             has_beam, carriers = False, {call.resource for call in step}
         if not failed and (has_beam or is_at_load(step)):
             time = max(call.ended or 0.0 for call in step)
-            one, other = (position_at(team.tracks[f"{call.resource}.fc"], time) for call in step)
-            yield (one, other) if one.east < other.east else (other, one)
+            first, second = (position_at(team.tracks[f"{call.resource}.fc"], time) for call in step)
+            yield (first, second) if first.east < second.east else (second, first)
             # At the load, the hooks close if they were open, and open if they were closed.
             has_beam = has_beam != is_at_load(step)
 
@@ -60,7 +60,7 @@ def carrier_positions(team: MissionTeam) -> Iterator[tuple[Point, Point]]:
 def carrier_steps(team: MissionTeam) -> list[list[RecordedCall]]:
     """The two simultaneous calls of each step of the carriers, without the flights home."""
     calls = [call for call in team.calls if call.caller == "beam" and call.portal == "flyTo"]
-    steps = [[one, other] for one, other in pairwise(calls) if other.at - one.at < 0.5]
+    steps = [[first, second] for first, second in pairwise(calls) if second.at - first.at < 0.5]
     return [step for step in steps if step[0].arguments[0] == step[1].arguments[0]]
 
 

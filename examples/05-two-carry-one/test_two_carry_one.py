@@ -67,8 +67,10 @@ def test_two_copters_carry_the_beam_and_two_the_crates(lfield_mission):
     assert team.ended == {"beam": "done", "crates": "done"}
     assert carriers(team) == [("ada", "bob")]
     steps = draw_tracks.carrier_steps(team)
-    for one, other in steps:
-        assert max(one.at, other.at) < min(one.ended, other.ended), "both carriers must fly at the same time"
+    for first, second in steps:
+        assert max(first.at, second.at) < min(first.ended, second.ended), (
+            "both carriers must fly at the same time"
+        )
     for step, following in pairwise(steps):
         assert max(call.ended for call in step) < min(call.at for call in following), "steps must not overlap"
     picked_up, put_down = (step[0].ended for step in steps if draw_tracks.is_at_load(step))
@@ -76,7 +78,9 @@ def test_two_copters_carry_the_beam_and_two_the_crates(lfield_mission):
     assert_beam_delivered(team)
     assert all(is_home(team, copter) for copter in COPTERS)
     pairs = combinations([team.tracks[f"{copter}.fc"] for copter in COPTERS], 2)
-    closest = min(math.dist(a[1:], b[1:]) for one, other in pairs for a, b in zip(one, other, strict=True))
+    closest = min(
+        math.dist(a[1:], b[1:]) for first, second in pairs for a, b in zip(first, second, strict=True)
+    )
     assert closest > LENGTH - TOLERANCE, "the copters must keep their distance"
     drawing = (HERE / "tracks.svg").read_text()
     assert line_ends(draw_tracks.draw(team)) == line_ends(drawing), (

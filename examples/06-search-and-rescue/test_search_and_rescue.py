@@ -29,9 +29,9 @@ def count_of_lines(name):
 
 def table_row(title):
     """The two numbers in a table_row of the README's table."""
-    page = (FOLDER / "README.md").read_text(encoding="utf-8")
-    found = re.search(rf"^\| {title}[^|]*\| (\d+) \| (\d+) \|$", page, re.MULTILINE)
-    return tuple(map(int, found.groups()))
+    readme = (FOLDER / "README.md").read_text(encoding="utf-8")
+    row = re.search(rf"^\| {title}[^|]*\| (\d+) \| (\d+) \|$", readme, re.MULTILINE)
+    return tuple(map(int, row.groups()))
 
 
 def line_ends(svg):

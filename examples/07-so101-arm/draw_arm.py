@@ -42,12 +42,12 @@ def targets(team: MissionTeam) -> list[tuple[Place, Place]]:
 
 def pose(place: Place) -> list[tuple[float, float]]:
     """Base, shoulder, elbow, wrist and tool in the plane of the arm: metres outwards and up."""
-    out, up = math.hypot(place[0], place[1]), place[2] + HAND
-    far = math.hypot(out - DISTANCE, up - HEIGHT)
-    bend = math.acos((UPPER**2 + far**2 - LOWER**2) / (2.0 * UPPER * far))
-    lift = math.atan2(up - HEIGHT, out - DISTANCE) + bend
+    radius, height = math.hypot(place[0], place[1]), place[2] + HAND
+    distance = math.hypot(radius - DISTANCE, height - HEIGHT)
+    bend = math.acos((UPPER**2 + distance**2 - LOWER**2) / (2.0 * UPPER * distance))
+    lift = math.atan2(height - HEIGHT, radius - DISTANCE) + bend
     elbow = DISTANCE + UPPER * math.cos(lift), HEIGHT + UPPER * math.sin(lift)
-    return [(0.0, 0.0), (DISTANCE, HEIGHT), elbow, (out, up), (out, place[2])]
+    return [(0.0, 0.0), (DISTANCE, HEIGHT), elbow, (radius, height), (radius, place[2])]
 
 
 def draw(team: MissionTeam) -> str:

@@ -48,9 +48,9 @@ def photographed_paths(team: MissionTeam) -> Iterator[tuple[Point, Point]]:
         if call.portal != "survey" or call.ended is None or call.thrown:
             continue
         points = [p for p in team.tracks[f"{call.resource}.fc"] if call.at <= p.at <= call.ended]
-        for one, other in zip(points[::5], points[5::5], strict=False):
-            if abs(one.up - HEIGHT) < TOLERANCE and abs(other.up - HEIGHT) < TOLERANCE:
-                yield (one.east, one.north), (other.east, other.north)
+        for start, end in zip(points[::5], points[5::5], strict=False):
+            if abs(start.up - HEIGHT) < TOLERANCE and abs(end.up - HEIGHT) < TOLERANCE:
+                yield (start.east, start.north), (end.east, end.north)
 
 
 def uncovered(team: MissionTeam, file: Path) -> list[Point]:

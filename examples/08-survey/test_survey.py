@@ -31,9 +31,9 @@ def log_text(team):
 
 def table_row(vehicles):
     """The numbers in a row of the README's table."""
-    page = (Path(__file__).parent / "README.md").read_text(encoding="utf-8")
-    found = re.search(rf"^\| {vehicles} \| (\d+) s \| (\d+) \| (\d+) \|$", page, re.MULTILINE)
-    return tuple(map(int, found.groups()))
+    readme = (Path(__file__).parent / "README.md").read_text(encoding="utf-8")
+    row = re.search(rf"^\| {vehicles} \| (\d+) s \| (\d+) \| (\d+) \|$", readme, re.MULTILINE)
+    return tuple(map(int, row.groups()))
 
 
 def run_until_on_strip(team):

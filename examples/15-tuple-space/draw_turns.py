@@ -105,9 +105,9 @@ def y(host: str) -> float:
     return ROW * HOSTS.index(host) + 44.0
 
 
-def text(left: float, base: float, label: str, colour: str) -> str:
+def text(x: float, y: float, label: str, colour: str) -> str:
     """A text at a point."""
-    return f'<text x="{left:.1f}" y="{base:.1f}" fill="{colour}">{escape(label)}</text>'
+    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}">{escape(label)}</text>'
 
 
 if __name__ == "__main__":

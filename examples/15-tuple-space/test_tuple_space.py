@@ -284,7 +284,9 @@ MATCHES = [
 
 
 def test_templates_match_by_number_types_and_values(clients):
-    body = "".join(f"print(new Tuple(){one}.matches(new Tuple(){other}));\n" for one, other, _ in MATCHES)
+    body = "".join(
+        f"print(new Tuple(){template}.matches(new Tuple(){values}));\n" for template, values, _ in MATCHES
+    )
     team = clients("//Asker:asker@shed", program=f"coordinator Asker {{ init(string[] arg) {{ {body} }} }}")
     team.run(until_done=True)
     results = [line.text for line in team.log if line.text in ("asker: true", "asker: false")]

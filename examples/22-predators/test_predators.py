@@ -25,9 +25,9 @@ def is_prey_surrounded(team, without=""):
         return math.atan2(place[1] - prey[1], place[0] - prey[0])
 
     circle = sorted(places, key=bearing)
-    for one, other in zip(circle, [*circle[1:], circle[0]], strict=True):
-        turn = (bearing(other) - bearing(one)) % math.tau
-        if turn >= math.pi or math.dist(one, other) - 2.0 * PREDATOR >= 2.0 * PREY:
+    for first, second in zip(circle, [*circle[1:], circle[0]], strict=True):
+        turn = (bearing(second) - bearing(first)) % math.tau
+        if turn >= math.pi or math.dist(first, second) - 2.0 * PREDATOR >= 2.0 * PREY:
             return False
     return True
 

@@ -126,7 +126,9 @@ class CertificateAdmission(AdmissionPolicy):
         if decision.extent != "all" and stage != "new":
             decision = judge(is_mission_active=self.is_mission_active())
         denied_rights = self.denied_rights(identity)
-        return AdmissionDecision(decision.extent, decision.why, denied_rights) if denied_rights else decision
+        if not denied_rights:
+            return decision
+        return AdmissionDecision(decision.extent, decision.reason, denied_rights)
 
     def sign_hello(self, hello: Hello) -> Hello:
         return replace(hello, time=self.time.for_handshake(), revoked=self.number)

@@ -131,19 +131,19 @@ _URI = re.compile(r"lfield://(host|person)/([^/?#]+)(?:\?may=([a-z,]*))?", re.AS
 
 def _read(uri: str) -> tuple[Literal["host", "person"], str, frozenset[Right]]:
     """Parse a URI. Raises ValueError unless `uri_of` writes it. Rights of a newer lfield are ignored."""
-    found = _URI.fullmatch(uri)
-    if found is None:
+    match = _URI.fullmatch(uri)
+    if match is None:
         raise ValueError("no name of ours")
-    kind, name = found[1], unquote(found[2], errors="strict")
-    if quote(name, safe="") != found[2] or len(name) > MAX_NAME or not name.isprintable():
+    kind, name = match[1], unquote(match[2], errors="strict")
+    if quote(name, safe="") != match[2] or len(name) > MAX_NAME or not name.isprintable():
         raise ValueError("a name has one spelling")
     if kind == "host":
-        if found[3] is not None:
+        if match[3] is not None:
             raise ValueError("a host has no rights")
         return "host", name, NO_RIGHTS
-    if found[3] is None:
+    if match[3] is None:
         raise ValueError("a person without a list of rights")
-    return "person", name, frozenset(right for right in Right if right in found[3].split(","))
+    return "person", name, frozenset(right for right in Right if right in match[3].split(","))
 
 
 def _common_name(issuer: Iterable[Iterable[tuple[str, str]]]) -> str:

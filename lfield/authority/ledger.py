@@ -136,9 +136,9 @@ class Ledger:
             raise KeysError(f"certificate {serial} of {found[0]} is revoked already")
         return self._revoke(found, at)
 
-    def _revoke(self, found: list[Identity], at: float) -> list[Identity]:
+    def _revoke(self, identities: list[Identity], at: float) -> list[Identity]:
         self._check_time(at)
-        serials = self.revoked.serials.union(identity.serial for identity in found)
+        serials = self.revoked.serials.union(identity.serial for identity in identities)
         # A number above that of any list that hosts may have, also after the folder was restored from a copy.
         number = max(self.revoked.number + 1, int(at))
         self.revoked = RevocationList(number, serials, at)
@@ -146,7 +146,7 @@ class Ledger:
         folders.write_crl(self.folder, self._list)
         for folder in self._key_folders():
             folders.write_crl(folder, self._list)
-        return found
+        return identities
 
     def _issue(
         self,

@@ -60,14 +60,14 @@ NONE_REVOKED = RevocationList()
 
 @dataclass(frozen=True, slots=True)
 class AdmissionDecision:
-    """The decision about an authenticated peer; `why` is the reason for a restriction.
+    """The decision about an authenticated peer; `reason` is the reason for a restriction.
 
     `finish`: a host may stop and be stopped, and operations under way end, hops included; no new ones start.
     `denied_rights` are rights that the mission denies the peer, each with a sentence that names the rule.
     """
 
     extent: Literal["all", "finish", "nothing"]
-    why: str = ""
+    reason: str = ""
     denied_rights: Mapping[Right, str] = field(default_factory=dict)
 
     def remaining_rights(self, may: frozenset[Right]) -> frozenset[Right]:

@@ -86,7 +86,7 @@ def missing_permission(identity: Identity, verdict: AdmissionDecision, message: 
     if needed in verdict.denied_rights:
         return verdict.denied_rights[needed]
     if verdict.extent != "all" and needed in identity.may:
-        return f"{verdict.why}; until then {identity} may only observe and stop"
+        return f"{verdict.reason}; until then {identity} may only observe and stop"
     has = sorted_rights(may).replace(",", " and ") or "do nothing"
     return f"{identity} may {has}, and this takes the right to {needed}: {_remedy(identity, needed)}"
 

@@ -48,9 +48,9 @@ class TrustedClock:
         """The current time."""
         return max(self._clock.time(), self._clock.monotonic() + max(self._signed, self._from_peers)[0])
 
-    def on_signature(self, at: float, what: str) -> None:
-        """Handle a notBefore that the CA has signed; `what` is `the certificate of host bravo`."""
-        self._signed = max(self._signed, (at - self._clock.monotonic(), f"{what} began then"))
+    def on_signature(self, at: float, subject: str) -> None:
+        """Handle a notBefore that the CA has signed; `subject` is `the certificate of host bravo`."""
+        self._signed = max(self._signed, (at - self._clock.monotonic(), f"{subject} began then"))
 
     def on_peer_time(self, at: float, identity: Identity) -> None:
         """Handle the time of an authenticated host."""

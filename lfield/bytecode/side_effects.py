@@ -59,17 +59,17 @@ def effectful_methods(program: Program) -> frozenset[int]:
     object or array that may have existed before the call. Output, time and random numbers do not count.
     """
     bodies = [_read(program, method) for method in program.core.methods]
-    found = [body.changes for body in bodies]
+    changes_by_method = [body.changes for body in bodies]
     changed = True
     while changed:
         changed = False
         for i, body in enumerate(bodies):
-            changes = found[i]
+            changes = changes_by_method[i]
             for callee, arguments in body.calls:
-                changes |= _changes_of_call(found[callee], arguments)
-            changed |= changes != found[i]
-            found[i] = changes
-    return frozenset(i for i, changes in enumerate(found) if changes & _LASTING)
+                changes |= _changes_of_call(changes_by_method[callee], arguments)
+            changed |= changes != changes_by_method[i]
+            changes_by_method[i] = changes
+    return frozenset(i for i, changes in enumerate(changes_by_method) if changes & _LASTING)
 
 
 @lru_cache(maxsize=8)

@@ -89,9 +89,9 @@ def _parse(
         return None, [
             Mistake(0, len(text), "the condition is empty", "write a condition, as in payload >= 2.0")
         ]
-    found, mistakes = Diagnostics(), list[Mistake]()
-    scanned = scan(Source("", text), found, end="the end of the text", parameters=parameters)
-    stream = TokenStream(scanned, found, _END_WORDS)
+    diagnostics, mistakes = Diagnostics(), list[Mistake]()
+    scanned = scan(Source("", text), diagnostics, end="the end of the text", parameters=parameters)
+    stream = TokenStream(scanned, diagnostics, _END_WORDS)
     result = None
     try:
         result = parse(stream)
@@ -99,7 +99,7 @@ def _parse(
         pass
     except _ConditionError as error:
         mistakes.append(error.mistake)
-    mistakes = [_mistake(diagnostic, parameters) for diagnostic in found.in_order()[:1]] or mistakes
+    mistakes = [_mistake(diagnostic, parameters) for diagnostic in diagnostics.in_order()[:1]] or mistakes
     return (None if mistakes else result), mistakes
 
 

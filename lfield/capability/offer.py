@@ -52,7 +52,7 @@ class Candidate(Struct, frozen=True, gc=False):
     precedence; those of its type and the primitive are in the registry. `hops` is 0 when it is on this host,
     else 1. `refusal` is the reason why it cannot be called (`unreachable for 12 s`), '' when it can.
     `unknown` are the reasons for missing live attributes (`fc has not reported battery`). `number` is its
-    place in the deployment. `barred` has by primitive the reason why the querying coordinator may not call
+    place in the deployment. `denials` has by primitive the reason why the querying coordinator may not call
     it.
     """
 
@@ -65,7 +65,7 @@ class Candidate(Struct, frozen=True, gc=False):
     unknown: Mapping[str, str] = {}
     number: int = 0
     stated: Mapping[str, Fact] = {}
-    barred: Mapping[str, str] = {}
+    denials: Mapping[str, str] = {}
 
     def fact(self, name: str) -> Fact | None:
         """The value of an attribute of this agent, without those of its type."""
@@ -78,7 +78,7 @@ class AgentSource(Protocol):
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a resource type, in the order of the deployment."""
 
-    def here(self) -> Position | None:
+    def location(self) -> Position | None:
         """The place of the query, None when unknown."""
 
 
@@ -100,17 +100,18 @@ class Penalty(Struct, frozen=True):
 
 
 class Offer(Struct, frozen=True):
-    """An agent or team that serves a primitive. `way` is the field of the primitive's class in L (ways.py).
+    """An agent or team that serves a primitive.
 
-    A direct offer has no `parts`; an equivalent one has one, named as its way; a composed one has one for
-    each need, named by `ways.part`. `agent` and `host` are those of a direct or equivalent offer; of a
-    composed one they are those of its parts, joined with '+'. The less `cost`, the better: it is the sum of
+    `realisation` is the field of the primitive's class in L (realisations.py). A direct offer has no `parts`;
+    an equivalent one has one, named as its realisation; a composed one has one for each need, named by
+    `realisations.part`. `agent` and `host` are those of a direct or equivalent offer; of a composed one they
+    are those of its parts, joined with '+'. The less `cost`, the better: it is the sum of
     its `terms` and of the costs of its parts. `penalties` make up the fitness of a direct one.
     """
 
     primitive: str
     kind: OfferKind
-    way: str
+    realisation: str
     agent: str
     host: str
     cost: float

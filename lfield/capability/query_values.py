@@ -52,7 +52,7 @@ def split_values(constraint: str) -> tuple[str, list[Bindable] | None]:
 
 
 def _values(text: str, encoded: str) -> list[Bindable]:
-    found: list[tuple[str, str, str]] = []
+    literals: list[tuple[str, str, str]] = []
     at = 0
     while at < len(encoded):
         if match := _PLAIN.match(encoded, at):
@@ -66,13 +66,13 @@ def _values(text: str, encoded: str) -> list[Bindable]:
             at = len(encoded) + 1
         if at > len(encoded):
             raise ConstraintError(text, ["its values are malformed"])
-        found.append((sort, written, name))
+        literals.append((sort, written, name))
     try:
         return [
-            written if sort == "t" else _plain(text, sort, written, name) for sort, written, name in found
+            written if sort == "t" else _plain(text, sort, written, name) for sort, written, name in literals
         ]
     except ConstraintError as wrong:
-        names = [name for _, _, name in found]
+        names = [name for _, _, name in literals]
         raise ConstraintError(_with_names(text, names), wrong.problems) from None
 
 

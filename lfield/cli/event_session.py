@@ -58,15 +58,15 @@ def run_session(args: argparse.Namespace, lines: Lines, plan: SessionPlan) -> in
     status."""
     from lfield.operator.targets import display_names, single_target
 
-    parties = selected_teams(args, selected_runs(args))
+    targets = selected_teams(args, selected_runs(args))
     mission = None
     if plan.mcap is not None or plan.until_done:
-        parties = [single_target(parties)]
-        mission = _mission_of(args, parties[0])
-    names = _limit_foreign(display_names(parties))
+        targets = [single_target(targets)]
+        mission = _mission_of(args, targets[0])
+    names = _limit_foreign(display_names(targets))
     selected = _select_hosts(names, plan.only)
     session = _Session(
-        args, lines, plan, parties, names if plan.until_done else selected, set(selected.values())
+        args, lines, plan, targets, names if plan.until_done else selected, set(selected.values())
     )
     try:
         return session.run(mission)
@@ -103,12 +103,12 @@ class _Session:
         args: argparse.Namespace,
         lines: Lines,
         plan: SessionPlan,
-        parties: Sequence[TargetTeam],
+        targets: Sequence[TargetTeam],
         names: dict[HostRef, str],
         selected: Collection[str],
     ) -> None:
         self._args, self._lines, self._plan = args, lines, plan
-        self._parties, self._names, self._selected = parties, names, selected
+        self._targets, self._names, self._selected = targets, names, selected
         self._recording: EventRecording | None = None
 
     def run(self, mission: Mission | None) -> int:
@@ -132,7 +132,7 @@ class _Session:
         from lfield.operator.team_model.mission_end import MissionEnd
 
         plan, end = self._plan, None
-        has_runs = any(party.runs for party in self._parties)
+        has_runs = any(target.runs for target in self._targets)
         if plan.follow and not has_runs and named_mission(self._args) is None:
             # No mission has to run there, so there may be no other output.
             print(
@@ -146,7 +146,7 @@ class _Session:
             _cancel_on_signals()
         async with (
             open_feed(
-                self._parties,
+                self._targets,
                 self._names,
                 self._teams,
                 self._args.keys,

@@ -75,7 +75,7 @@ class TeamQueries:
         """
         if size is not None and not 1 <= size <= MAX_TEAM:
             raise UsageError(f"a team has from 1 to {MAX_TEAM} members, not {size}")
-        matcher = Matcher(self._context.registry, known.team, self._context.ways)
+        matcher = Matcher(self._context.registry, known.team, self._context.realisations)
         return [primitive_answer(matcher, primitive, question, size) for primitive in question.primitives]
 
     async def data(

@@ -21,14 +21,14 @@ STOP_TIMEOUT = 300.0
 class StopResult:
     """The result of a stop: the answers of the hosts, and the errors of those that did not answer.
 
-    `checked` is the reason why the vehicles of a host that had ended before count as checked. `troubles` are
+    `checked` is the reason why the vehicles of a host that had ended before count as checked. `problems` are
     the hosts whose vehicles may not be at rest.
     """
 
     stopped: Mapping[str, CommandResult]
     errors: Mapping[str, LfieldError]
     checked: Mapping[str, str]
-    troubles: Sequence[str]
+    problems: Sequence[str]
 
     def as_data(self) -> dict[str, object]:
         """The result as JSON data, as of `lfield stop --json`."""
@@ -58,12 +58,12 @@ async def stop_mission(desk: FleetDesk, hosts: Sequence[str], *, discards: bool 
     order = MissionCommand("stop", is_assistant=desk.is_assistant)
     answers = await desk.order(hosts, order, CommandResult, STOP_TIMEOUT)
     stopped, failed = split_answers(answers)
-    troubles = [host for host, result in stopped.items() if result.trouble]
+    problems = [host for host, result in stopped.items() if result.trouble]
     checked = {host: result.checked for host, result in stopped.items() if result.checked}
-    if discards and not failed and not troubles:
+    if discards and not failed and not problems:
         # Only when every host has stopped: a coordinator on another one could continue. And this order says
         # that the vehicles of a host that was killed meanwhile have been checked.
         order = MissionCommand("stop", discards=True, is_assistant=desk.is_assistant)
         stopped, failed = split_answers(await desk.order(hosts, order, CommandResult, STOP_TIMEOUT))
-        troubles = [host for host, result in stopped.items() if result.trouble]
-    return StopResult(stopped, failed, checked, troubles)
+        problems = [host for host, result in stopped.items() if result.trouble]
+    return StopResult(stopped, failed, checked, problems)

@@ -35,17 +35,17 @@ class KnownTeam:
 
 
 def query_data(
-    question: CapabilityQuery, known: KnownTeam, answers: Sequence[PrimitiveAnswer], registry: Registry
+    question: CapabilityQuery, known_team: KnownTeam, answers: Sequence[PrimitiveAnswer], registry: Registry
 ) -> dict[str, Any]:
     """The whole answer; lfield/docs/operations.md has its shape."""
     constraint = question.constraint
     return {
         "query": question.text,
         "constraint": constraint.text.strip() if constraint is not None else None,
-        "source": "team" if known.is_running else "files",
-        "answered": list(known.answered),
-        "silent": {host: str(error) for host, error in known.unanswered.items()},
-        "codes": {host: error.code for host, error in known.unanswered.items()},
+        "source": "team" if known_team.is_running else "files",
+        "answered": list(known_team.answered),
+        "silent": {host: str(error) for host, error in known_team.unanswered.items()},
+        "codes": {host: error.code for host, error in known_team.unanswered.items()},
         "capabilities": [
             {
                 "primitive": answer.primitive.name,
@@ -82,8 +82,8 @@ def parts_of(offer: Offer) -> dict[str, Offer]:
     if offer.kind == "equivalent":
         (inner,) = offer.parts.values()
         return {"by": inner}
-    # ways.part: the name of the whole, which is the way, and that of the need.
-    return {way.removeprefix(f"{offer.way}_"): part for way, part in offer.parts.items()}
+    # realisations.part: the name of the whole, which is the realisation, and that of the need.
+    return {field.removeprefix(f"{offer.realisation}_"): part for field, part in offer.parts.items()}
 
 
 def _fact(name: str, fact: Fact, registry: Registry) -> dict[str, Any]:

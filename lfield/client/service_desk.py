@@ -132,13 +132,13 @@ async def ask_all_services(
     """
     queried_hosts = list(links.addresses if hosts is None else hosts)
 
-    async def one(host: str) -> A | LfieldError:
+    async def ask_host(host: str) -> A | LfieldError:
         try:
             return await links.ask(host, message, kind, timeout, timeout, restart=restart)
         except LfieldError as error:
             return error
 
-    return dict(zip(queried_hosts, await asyncio.gather(*map(one, queried_hosts)), strict=True))
+    return dict(zip(queried_hosts, await asyncio.gather(*map(ask_host, queried_hosts)), strict=True))
 
 
 def require_hosts(inventory: Inventory, hosts: Sequence[str]) -> None:

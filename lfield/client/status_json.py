@@ -104,12 +104,12 @@ def _directory(agents: Sequence[DirectoryEntry]) -> dict[str, Any]:
     }
 
 
-def runs_data(parties: Sequence[TargetTeam], hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
+def runs_data(targets: Sequence[TargetTeam], hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
     """The runs, and the state of every host, or the error where it did not answer."""
-    return {team.id: _team_data(team, hosts) for team in parties}
+    return {target.id: _team_data(target, hosts) for target in targets}
 
 
-def _team_data(team: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
+def _team_data(target: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
     runs = [
         {
             "id": run.id,
@@ -118,9 +118,9 @@ def _team_data(team: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str
             "since": _time_text(run.manifest.started),
             "hosts": list(run.manifest.control_sockets),
         }
-        for run in team.runs
+        for run in target.runs
     ]
-    return {"runs": runs, "hosts": status_data(by_host(hosts, team))}
+    return {"runs": runs, "hosts": status_data(by_host(hosts, target))}
 
 
 def _time_text(seconds: float) -> str:

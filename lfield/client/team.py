@@ -188,10 +188,10 @@ class ConnectedTeam:
             for host, reason in () if follow else feed.unreached.items():
                 yield event_data(FeedNotice(host, reason, {"events": None}))
 
-    def _check(self, named: Collection[str], known: Collection[str], what: str) -> None:
+    def _check(self, named: Collection[str], known: Collection[str], kind: str) -> None:
         for name in named:
             if name not in known:
-                raise UsageError(f"unknown {what} '{name}': there are {', '.join(sorted(known))}")
+                raise UsageError(f"unknown {kind} '{name}': there are {', '.join(sorted(known))}")
 
     async def _homes(self) -> dict[str, str] | None:
         """The home of each coordinator; None if the files of the mission are not on this computer."""

@@ -54,7 +54,7 @@ class TeamActions:
 
     `read_queries` reads the data for queries, at the first query; its error is the answer when that fails.
     `access`: the mission's restrictions of this person's rights, as far as this computer has them.
-    `standing` sends orders over open connections. `run_in_thread` runs a long computation outside the event
+    `open_links` sends orders over open connections. `run_in_thread` runs a long computation outside the event
     loop.
     """
 
@@ -64,11 +64,11 @@ class TeamActions:
         observer: OrderObserver,
         read_queries: Callable[[], TeamQueries],
         access: Access = NO_RULES,
-        standing: OrderOnOpenLink | None = None,
+        open_links: OrderOnOpenLink | None = None,
         run_in_thread: RunInThread = asyncio.to_thread,
     ) -> None:
         self._connection, self._observer, self._read_queries = connection, observer, read_queries
-        self._access, self._standing, self._run_in_thread = access, standing, run_in_thread
+        self._access, self._open_links, self._run_in_thread = access, open_links, run_in_thread
         self._queries: TeamQueries | None = None
 
     # --- permissions ----------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ class TeamActions:
         problems: dict[str, str] = {}
         number = self._observer.on_order(order, self._connection.locate.hosts)
         on_answer = partial(self._observer.on_answer, number)
-        answers = await self._connection.order(request, self._standing, on_answer)
+        answers = await self._connection.order(request, self._open_links, on_answer)
         for host, answer in answers.items():
             if isinstance(answer, LfieldError):
                 unreached[host] = str(answer)

@@ -55,15 +55,16 @@ class TeamConnection:
     async def order(
         self,
         request: Request[EmergencyStopResult],
-        standing: OrderOnOpenLink | None = None,
+        open_links: OrderOnOpenLink | None = None,
         on_answer: Callable[[str, EmergencyStopResult | LfieldError], None] = lambda host, answer: None,
     ) -> OrderResults:
-        """Send an order to every host: over new connections, as datagrams, and by `standing` over open ones.
+        """Send an order to every host: over new connections, as datagrams, and with
+        `open_links` over open ones.
 
         Each answer is passed to `on_answer` when it comes.
         """
         addresses = dict(self.locate.addresses)
-        return await ask_all(self.transport, addresses, request, self.crl, self.sender, standing, on_answer)
+        return await ask_all(self.transport, addresses, request, self.crl, self.sender, open_links, on_answer)
 
 
 def open_connection(

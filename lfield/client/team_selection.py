@@ -56,20 +56,20 @@ class TeamSelection:
 
         Without a run of this user, and with a named inventory, the hosts of the inventory.
         """
-        parties = self._teams(runs)
-        self._configure_zenoh(parties)
-        return parties
+        targets = self._teams(runs)
+        self._configure_zenoh(targets)
+        return targets
 
-    def _configure_zenoh(self, parties: Sequence[TargetTeam]) -> None:
+    def _configure_zenoh(self, targets: Sequence[TargetTeam]) -> None:
         """Use the routers of a named inventory for addresses in a fabric, else those of the run, else the
         default inventory's: the addresses may be those of a run."""
         from lfield.net.transport import has_zenoh
         from lfield.net.zenoh.config import NETWORK
 
-        addresses = [address for party in parties for address in party.addresses.values()]
+        addresses = [address for target in targets for address in target.addresses.values()]
         if NETWORK.config is not None or not any(map(has_zenoh, addresses)):
             return
-        known = [run.manifest.zenoh for party in parties for run in party.runs if not run.user]
+        known = [run.manifest.zenoh for target in targets for run in target.runs if not run.user]
         config = next((each for each in known if each is not None), None)
         if config is None or self.inventory is not None:
             self.inventory_addresses()
@@ -80,11 +80,11 @@ class TeamSelection:
         from lfield.operator.targets import TargetTeam, open_team, targets_of_runs, targets_of_team
 
         if self.mission is None:
-            parties = targets_of_runs(runs)
+            targets = targets_of_runs(runs)
             if not self.run and (self.inventory or all(run.user for run in runs)):
                 addresses = self.inventory_addresses()
-                parties = [TargetTeam((), addresses), *parties] if addresses else parties
-            return parties
+                targets = [TargetTeam((), addresses), *targets] if addresses else targets
+            return targets
         team = open_team(self.mission)
         if self.run and runs[0].manifest.deployment != team.deployment.hex():
             raise UsageError(f"{runs[0].id} is not a run of {self.mission}")
@@ -97,6 +97,6 @@ class TeamSelection:
         """
         from lfield.operator.targets import single_target
 
-        parties = self.teams(self.runs())
-        party = single_target(parties)
-        return party, [other.id for other in parties if other.user and other is not party]
+        targets = self.teams(self.runs())
+        target = single_target(targets)
+        return target, [other.id for other in targets if other.user and other is not target]

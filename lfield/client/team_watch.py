@@ -70,9 +70,9 @@ class TeamWatch:
         """See `StreamHandler.on_linked`."""
         self.view.on_linked(host)
 
-    def on_unlinked(self, host: str, why: str) -> None:
+    def on_unlinked(self, host: str, reason: str) -> None:
         """See `StreamHandler.on_unlinked`."""
-        self.view.on_unlinked(host, why)
+        self.view.on_unlinked(host, reason)
 
     def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
         """See `StreamHandler.on_batch`."""

@@ -178,10 +178,12 @@ class DeviceGuards:
         found = self._by_device.get(device)
         return found[0].snapshots.last(device, quantity) if found else None
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         """The reason why a device cannot be called now, None when it can."""
         found = self._by_device.get(device)
-        return found[0].trouble(device) if found else Unavailability(f"{device}: not open on this host")
+        if found is None:
+            return Unavailability(f"{device}: not open on this host")
+        return found[0].unavailability(device)
 
     def make_safe(self, device: str, reason: str, state: str) -> None:
         """Brings a device into a safe state of its manifest, from which the program may release it.
@@ -225,8 +227,9 @@ class DeviceGuards:
         table: dict[str, str] = {}
         for guard in self._guards:
             for name in guard.actuated_devices:
-                held = guard.latched_devices.latched.get(name, "")
-                blocked = guard.latched_devices.barred or guard.latched_devices.locked_out.get(name, "")
+                devices = guard.latched_devices
+                held = devices.latched.get(name, "")
+                blocked = devices.blocking_reason or devices.locked_out.get(name, "")
                 table[name] = blocked or (held if held != reason else "")
                 if held and not table[name]:
                     table[name] = await self._release(name)

@@ -134,14 +134,14 @@ class FakeOutput:
         buffered, self._buffered = self._buffered, None
         sys.stderr.write(buffered or "")
 
-    def exit_reason(self, what: str, said: str) -> str:
-        """`what` with the output of a simulated device that has ended (stderr or `said`): only the last line
-        of a traceback.
+    def exit_reason(self, event: str, output: str) -> str:
+        """`event` with the output of a simulated device that has ended (stderr or `output`): only the last
+        line of a traceback.
         """
-        lines = [line.strip() for line in f"{self._buffered or ''}\n{said}".splitlines() if line.strip()]
+        lines = [line.strip() for line in f"{self._buffered or ''}\n{output}".splitlines() if line.strip()]
         if any(line.startswith("Traceback") for line in lines):
             lines = lines[-1:]
-        return f"{what}; it said: {' '.join(lines)}" if lines else f"{what}, without output"
+        return f"{event}; it said: {' '.join(lines)}" if lines else f"{event}, without output"
 
     async def end(self) -> None:
         """Waits for the last output, but not for a child process that still has the stream."""

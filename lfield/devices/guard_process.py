@@ -285,7 +285,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         """Whether the devices are open."""
         return self._ready
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         """The reason why the device cannot be called now; None when it can."""
         binding = self._devices[device]
         if not self._ready:

@@ -44,7 +44,7 @@ class LatchedDevices:
         self._actions: Mapping[str, Mapping[str, str]] = {}
         self._requests: dict[str, RequestSafeState] = {}
         #: The reason why no device may be released, '' while all may.
-        self.barred = ""
+        self.blocking_reason = ""
         #: Whether the host is stopping: an ordinary stop is logged once, when it is done.
         self.stopping = False
         #: The reason why a device is held in its safe state, by name; absent while it accepts calls.
@@ -79,7 +79,7 @@ class LatchedDevices:
 
     def inhibit(self, reason: str) -> None:
         """Forbids the release of all devices for a reason; '' allows it."""
-        self.barred = reason
+        self.blocking_reason = reason
 
     def state(self, device: str) -> str:
         """The safe state in which a device is held, or would be held."""
@@ -153,6 +153,6 @@ class LatchedDevices:
 
     def pending_requests(self) -> list[RequestSafeState]:
         """The requests for a restarted guard, which brings its devices into their usual safe states."""
-        inhibitions = [RequestSafeState("", self.barred, lock=True)] if self.barred else []
+        inhibitions = [RequestSafeState("", self.blocking_reason, lock=True)] if self.blocking_reason else []
         locks = [RequestSafeState(device, reason, lock=True) for device, reason in self.locked_out.items()]
         return [*self._requests.values(), *inhibitions, *locks]

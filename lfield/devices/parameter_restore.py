@@ -37,16 +37,16 @@ class RestorePlan(Struct, frozen=True):
 
 
 def plan_restore(
-    entry: BackupEntry, found: FoundDevice, present: Mapping[str, float] | None = None
+    entry: BackupEntry, device: FoundDevice, present: Mapping[str, float] | None = None
 ) -> RestorePlan:
     """Compares the device at the endpoint of an entry with the entry, without writing. `present` are the
     values of its settings, by default of the settings that its binding needs.
     """
-    if entry.serial and found.serial != entry.serial:
-        problem = f"{found.name}: {found.label} is now at {entry.binding.endpoint}, not {entry.label}"
-        return RestorePlan(entry, found, [], [f"{problem}: nothing is written"])
+    if entry.serial and device.serial != entry.serial:
+        problem = f"{device.name}: {device.label} is now at {entry.binding.endpoint}, not {entry.label}"
+        return RestorePlan(entry, device, [], [f"{problem}: nothing is written"])
     if present is None:
-        present = {setting.name: setting.present for setting in found.settings}
+        present = {setting.name: setting.present for setting in device.settings}
     writes, problems = list[ParameterChange](), list[str]()
     for change in entry.changes:
         value = present.get(change.name)
@@ -56,8 +56,8 @@ def plan_restore(
             writes.append(change)
             continue
         state = "is not reported" if value is None else f"is {value:.9g}, which setup has not written"
-        problems.append(f"{found.name}: {change.name} {state}: left alone; it was {change.was:.9g} before")
-    return RestorePlan(entry, found, writes, problems)
+        problems.append(f"{device.name}: {change.name} {state}: left alone; it was {change.was:.9g} before")
+    return RestorePlan(entry, device, writes, problems)
 
 
 async def apply_restore(plan: RestorePlan, report: Report) -> list[str]:

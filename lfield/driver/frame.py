@@ -92,22 +92,22 @@ def arguments_from_team(
     parameters: Sequence[Parameter], values: Sequence[object], frame: Frame
 ) -> list[object]:
     """The arguments of an instruction, converted from the team's frame to the device's own."""
-    found, at = list(values), 0
-    while at < len(found):
-        kind, value = parameters[at].frame, found[at]
+    converted, at = list(values), 0
+    while at < len(converted):
+        kind, value = parameters[at].frame, converted[at]
         if not kind or isinstance(value, list):
-            found[at] = _array(kind, value, frame, back=True) if isinstance(value, list) else value
+            converted[at] = _array(kind, value, frame, back=True) if isinstance(value, list) else value
             at += 1
         elif kind == "heading":
-            found[at] = _number(value) - frame.heading
+            converted[at] = _number(value) - frame.heading
             at += 1
         else:
             row = 1
-            while at + row < len(found) and row < 3 and parameters[at + row].frame == kind:
+            while at + row < len(converted) and row < 3 and parameters[at + row].frame == kind:
                 row += 1
-            found[at : at + row] = _converted(kind, found[at : at + row], frame, back=True)
+            converted[at : at + row] = _converted(kind, converted[at : at + row], frame, back=True)
             at += row
-    return found
+    return converted
 
 
 def values_to_team(

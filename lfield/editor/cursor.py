@@ -137,13 +137,13 @@ def cursor_at(model: ProgramModel, path: Path, offset: int) -> Cursor | None:
 def cursor_at_token(part: ProgramPart, index: int) -> Cursor:
     """A token of a part with its unit and method."""
     start = part.tokens[index].span.start
-    unit = next((one for one in reversed(part.file.units) if one.span.start <= start), None)
+    unit = next((candidate for candidate in reversed(part.file.units) if candidate.span.start <= start), None)
     method = next((function for function in part.file.functions if _is_within(function, start)), None)
     if method is not None:
         return Cursor(part, index, None, method)
-    for one in unit.methods if unit is not None else ():
-        if one.span.start <= start and (method is None or one.span.start > method.span.start):
-            method = one
+    for candidate in unit.methods if unit is not None else ():
+        if candidate.span.start <= start and (method is None or candidate.span.start > method.span.start):
+            method = candidate
     if method is not None and start > method.end.end and not method.broken:
         method = None
     return Cursor(part, index, unit, method)

@@ -223,7 +223,7 @@ class LfieldServer:
 
     def completion(self, params: types.CompletionParams) -> types.CompletionList:
         """The completions for a position."""
-        found = self._workspace.complete(*self._place(params.text_document, params.position))
+        proposals = self._workspace.complete(*self._place(params.text_document, params.position))
         items = [
             types.CompletionItem(
                 proposal.text,
@@ -233,7 +233,7 @@ class LfieldServer:
                 if proposal.documentation
                 else None,
             )
-            for proposal in found
+            for proposal in proposals
         ]
         return types.CompletionList(is_incomplete=False, items=items)
 

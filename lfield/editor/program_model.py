@@ -92,12 +92,12 @@ class ProgramModel:
 
     def _read_files(self) -> tuple[bool, bool]:
         """Read the files; returns whether a file has changed, and whether one is missing."""
-        found: dict[Path, ProgramFile] = {}
+        files: dict[Path, ProgramFile] = {}
         self._include_findings, is_missing, is_changed = [], False, False
         waiting: list[tuple[Path, Include | None]] = [(self.root, None)]
         while waiting:
             path, include = waiting.pop(0)
-            if path in found:
+            if path in files:
                 continue
             text = self._read(path)
             if text is None:
@@ -105,7 +105,7 @@ class ProgramModel:
                 if include is not None:
                     self._include_findings.append(self._unread(include, path))
                 continue
-            found[path] = file = self.files.get(path) or ProgramFile(str(path))
+            files[path] = file = self.files.get(path) or ProgramFile(str(path))
             is_changed |= file.update(text)
             for part in file.parts:
                 for include in part.file.includes:
@@ -116,8 +116,8 @@ class ProgramModel:
                         self._include_findings.append(
                             messages.INCLUDE_UNKNOWN.at(include.span, path=include.path)
                         )
-        is_changed |= found.keys() != self.files.keys()
-        self.files, self._is_missing = found, is_missing
+        is_changed |= files.keys() != self.files.keys()
+        self.files, self._is_missing = files, is_missing
         return is_changed, is_missing or any(part.file.broken for part in self.parts())
 
     def _unread(self, include: Include, path: Path) -> Diagnostic:
@@ -250,13 +250,13 @@ class ProgramModel:
         bodies = (finding for part in self.parts() for finding in part.findings)
         syntax = (finding for part in self.parts() for finding in part.syntax_findings)
         found = [*syntax, *self.symbols.found.found, *self._include_findings]
-        if self._generated.problems and not any(one.severity == "error" for one in found):
+        if self._generated.problems and not any(finding.severity == "error" for finding in found):
             found += self._generated.problems
         else:
             found += bodies
-        places = {(one.code, one.span.start, one.span.source): one for one in reversed(found)}
+        places = {(f.code, f.span.start, f.span.source): f for f in reversed(found)}
         ordered = reversed(places.values())
-        return sorted(ordered, key=lambda one: (one.span.source.name, one.span.line, one.span.start))
+        return sorted(ordered, key=lambda f: (f.span.source.name, f.span.line, f.span.start))
 
     def complete_program(self) -> CheckedProgram | None:
         """The program with all its bodies, for a check of its deployment; None if it has errors."""

@@ -176,15 +176,15 @@ class TextSymbols:
         if unit is None or cursor.method in cursor.part.file.functions:
             local = cursor.local_here()
             return None if local is None else self._of_local(local)
-        made = self._symbols.units.get(unit.name)
-        if token.span == unit.span or made is None:
-            return None if made is None else self.of_unit(made)
-        for method in made.methods:
+        unit_symbol = self._symbols.units.get(unit.name)
+        if token.span == unit.span or unit_symbol is None:
+            return None if unit_symbol is None else self.of_unit(unit_symbol)
+        for method in unit_symbol.methods:
             if method.span == token.span:
-                return self.of_unit(made) if method.kind == "constructor" else self.of_method(method)
-        for field in made.fields:
+                return self.of_unit(unit_symbol) if method.kind == "constructor" else self.of_method(method)
+        for field in unit_symbol.fields:
             if field.span == token.span:
-                return self.of_field(made, field)
+                return self.of_field(unit_symbol, field)
         local = cursor.local_here()
         return None if local is None else self._of_local(local)
 

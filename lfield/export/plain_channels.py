@@ -65,18 +65,18 @@ class TelemetryChannels:
     def messages(self, sample: TelemetrySample) -> Iterator[ChannelMessage]:
         """The values of a device as one object."""
         device = sample.device
-        known = self._types.get(device)
-        if known is None:
-            known = {name: quantity.type for name, quantity in self._info.quantities(device).items()}
+        types = self._types.get(device)
+        if types is None:
+            types = {name: quantity.type for name, quantity in self._info.quantities(device).items()}
         found = {name: _type_of(value) for name, value in sample.values.items()}
-        added = {name: type for name, type in found.items() if _replaces(type, known.get(name))}
+        added = {name: type for name, type in found.items() if _replaces(type, types.get(name))}
         if added or device not in self._channels:
-            self._types[device] = known = known | added
-            self._channels[device] = self._channel(device, known)
+            self._types[device] = types = types | added
+            self._channels[device] = self._channel(device, types)
         values = {
             name: _json_value(value)
             for name, value in sample.values.items()
-            if _is_json(value) and _fits(found[name], known[name])
+            if _is_json(value) and _fits(found[name], types[name])
         }
         data = {"host": sample.host, "silent": sample.silent, **values}
         yield ChannelMessage(self._channels[device], sample.time, data)

@@ -21,7 +21,7 @@ def draw_plan(report: PlanReport, title: str) -> str:
         grid(drawing.canvas),
         *drawing.zones(),
         *drawing.areas(),
-        *drawing.way(),
+        *drawing.route_line(),
         *drawing.rally(),
         *drawing.home(),
         *drawing.numbers(),
@@ -88,7 +88,7 @@ class _PlanMap:
             path = self._closed([self._place(corner) for corner in area])
             yield _filled(path, _AREA, "6 4")
 
-    def way(self) -> Iterator[str]:
+    def route_line(self) -> Iterator[str]:
         """The straight ways between the items, and their positions."""
         points = list(self._report.path)
         if not points:

@@ -110,10 +110,10 @@ def crossing_edges(corners: Sequence[Point]) -> tuple[int, int] | None:
     for each in order:
         a, b = ends[each]
         west = min(a[0], b[0])
-        active = [other for other in active if max(ends[other][0][0], ends[other][1][0]) >= west]
-        for other in active:
-            if _conflict(each, other, count, ends):
-                return (min(each, other), max(each, other))
+        active = [second for second in active if max(ends[second][0][0], ends[second][1][0]) >= west]
+        for second in active:
+            if _conflict(each, second, count, ends):
+                return (min(each, second), max(each, second))
         active.append(each)
     return None
 
@@ -139,9 +139,9 @@ def _intersect(a: Point, b: Point, c: Point, d: Point) -> bool:
         return False
     if max(a[0], b[0]) < min(c[0], d[0]) or max(c[0], d[0]) < min(a[0], b[0]):
         return False
-    one, other = _turn(a, b, c), _turn(a, b, d)
+    first, second = _turn(a, b, c), _turn(a, b, d)
     third, fourth = _turn(c, d, a), _turn(c, d, b)
-    return one * other <= 0.0 and third * fourth <= 0.0
+    return first * second <= 0.0 and third * fourth <= 0.0
 
 
 def _turn(a: Point, b: Point, c: Point) -> float:

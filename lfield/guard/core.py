@@ -314,10 +314,10 @@ class GuardCore:
             return max(self._silent_at, self._standstill.under_way_until())
         return self._silent_at + MUTE_AFTER
 
-    def _set_muted(self, on: bool) -> Mute:
-        self._muted = on
-        self._standstill.on_muted(on)
-        return Mute(on)
+    def _set_muted(self, muted: bool) -> Mute:
+        self._muted = muted
+        self._standstill.on_muted(muted)
+        return Mute(muted)
 
     def _start_query(self, device: GuardDevice, call: GuardCall) -> list[Effect]:
         """Accepts a call that moves no device; release() unlatches first and informs the driver."""

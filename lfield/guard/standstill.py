@@ -98,9 +98,9 @@ class Standstill:
     def on_host_gone(self) -> None:
         self._is_host_gone = True
 
-    def on_muted(self, on: bool) -> None:
+    def on_muted(self, muted: bool) -> None:
         """The bus was muted or not: devices on a muted bus may stop sending."""
-        self._muted = on
+        self._muted = muted
 
     def skip_wait(self) -> None:
         """The operator does not wait any longer."""

@@ -81,9 +81,9 @@ class HostEnvironment:
         """The last value of a telemetry quantity, however old."""
         return self._guards.last(device, quantity)
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         """The reason why a device cannot be called now."""
-        return self._guards.trouble(device)
+        return self._guards.unavailability(device)
 
     def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:
         """The value of a query, PENDING if the device itself must answer. Raises DeviceError."""

@@ -72,14 +72,14 @@ class BatchDurable(HostInput, frozen=True, tag=5):
 
 
 class DiskSpaceChanged(HostInput, frozen=True, tag=6):
-    """The free space of the disk has changed: `trouble` is the reason why the journal should admit nothing
+    """The free space of the disk has changed: `problem` is the reason why the journal should admit nothing
     more, or ''.
     """
 
-    trouble: str
+    problem: str
 
     def enter(self, core: HostCore) -> None:
-        core.on_disk_space(self.trouble)
+        core.on_disk_space(self.problem)
 
 
 class Linked(HostInput, frozen=True, tag=7):

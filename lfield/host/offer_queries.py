@@ -17,7 +17,7 @@ from lfield.capability.query_values import SEPARATOR, bind, split_values
 from lfield.errors import ConstraintError
 from lfield.host.team_directory import TeamDirectory
 from lfield.mission.mission import Mission
-from lfield.vm.offer_objects import FoundOffer, SearchIncomplete, ways
+from lfield.vm.offer_objects import FoundOffer, SearchIncomplete, realisations
 
 #: The number of compiled conditions in the cache.
 MAX_CACHED_CONSTRAINTS = 256
@@ -27,9 +27,9 @@ class CapabilityQueries:
     """The capability queries of a mission's team, for the capabilities compiled into its program."""
 
     def __init__(self, directory: TeamDirectory, mission: Mission) -> None:
-        numbers, realisations = mission.team.member_numbers, ways(mission.program)
+        numbers, usable = mission.team.member_numbers, realisations(mission.program)
         self._directory = directory
-        self._results = MatchResults(directory.registry, directory.directory, realisations, numbers)
+        self._results = MatchResults(directory.registry, directory.directory, usable, numbers)
 
     def find_offers(self, caller: str, capability: str, constraint: str | None) -> list[FoundOffer]:
         """The offers of a capability for a coordinator that satisfy the condition, best first.
@@ -132,7 +132,7 @@ def to_vm_offer(offer: Offer, numbers: Mapping[str, int], count: int = 0, note: 
     direct = offer.kind == "direct"
     values = [fact.value for fact in offer.facts.values()]
     return FoundOffer(
-        way=offer.way,
+        realisation=offer.realisation,
         agent=offer.agent,
         host=offer.host,
         kind=binding_label(offer),

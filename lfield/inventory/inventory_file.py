@@ -129,7 +129,7 @@ class _Reader:
 
     def _addresses(self, name: str, service_port: int, fields: YamlFields) -> tuple[str, ...]:
         """The addresses of a host, each with its port."""
-        found: list[str] = []
+        addresses: list[str] = []
         nodes, value = fields.items("addresses"), fields.node("addresses")
         for node in nodes:
             if not isinstance(node, YamlScalar) or not isinstance(node.value, str):
@@ -141,15 +141,15 @@ class _Reader:
                 sentence = f"'{node.value}' is not an address of a host: {error.reason}"
                 fields.report("Y113", sentence, node.span, _ADDRESSES)
                 continue
-            if address in found:
+            if address in addresses:
                 fields.report("Y113", f"{address} occurs twice", node.span)
             self._own(name, address, service_port, node.span, fields)
-            found.append(address)
+            addresses.append(address)
         if value is None or (isinstance(value, YamlList) and not nodes):
             fields.report(
                 "Y110", f"'{name}' needs at least one address under 'addresses'", fields.span, _HOST
             )
-        return tuple(found)
+        return tuple(addresses)
 
     def _own(self, name: str, address: str, service_port: int, span: Span, fields: YamlFields) -> None:
         """Record the ports of a host at an address; a finding if another host has one of them."""

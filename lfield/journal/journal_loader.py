@@ -137,25 +137,25 @@ def classify_entries(
     `may_be_stale`: records may be older than the newest stored ones, so mutable records are not trusted.
     `attempts`: the records are not used, so a record of a newer version only counts as unreadable.
     """
-    found = JournalScan({}, [])
+    scan = JournalScan({}, [])
     for place, entry in entries:
         try:
             record = decode_record(entry)
         except UnsupportedRecordVersion as error:
             if not attempts:
                 raise _unsupported_version(path, f"{describe_loss(entry)}: {error}") from None
-            found.damaged.append(DamagedEntry(entry, f"{error}: install the lfield that wrote it", place))
+            scan.damaged.append(DamagedEntry(entry, f"{error}: install the lfield that wrote it", place))
             continue
         except RecordError as error:
-            found.damaged.append(DamagedEntry(entry, str(error), place))
+            scan.damaged.append(DamagedEntry(entry, str(error), place))
             continue
         if may_be_stale and _is_mutable(record):
-            found.damaged.append(DamagedEntry(entry, "a later one may have been lost with the log", place))
+            scan.damaged.append(DamagedEntry(entry, "a later one may have been lost with the log", place))
             continue
-        other = found.valid.get(entry.key)
+        other = scan.valid.get(entry.key)
         if other is None or other[0].written_at <= entry.written_at:
-            found.valid[entry.key] = entry, record
-    return found
+            scan.valid[entry.key] = entry, record
+    return scan
 
 
 def _is_mutable(record: Record) -> bool:
@@ -209,18 +209,18 @@ def _load(path: Path, owner: JournalOwner, report: Callable[[str], None], now: f
             _check_owner(path, head, owner)
         if fault := store.fault():
             raise BrokenFile(fault)
-        found = classify_entries(path, store.entries())
-        if head is None or found.damaged:
+        scan = classify_entries(path, store.entries())
+        if head is None or scan.damaged:
             head = _new_head(owner)
-            if any(is_promise_lost(damage.entry) for damage in found.damaged):
-                found.valid.pop(NO_RECORD, None)
+            if any(is_promise_lost(damage.entry) for damage in scan.damaged):
+                scan.valid.pop(NO_RECORD, None)
                 store.commit([((), [NO_RECORD])])
-            store.move_aside(found.damaged, head, now)
-            _report_damage(path, found.damaged, report)
+            store.move_aside(scan.damaged, head, now)
+            _report_damage(path, scan.damaged, report)
     except BaseException:
         store.close()
         raise
-    return LoadedJournal(store, head, found.valid)
+    return LoadedJournal(store, head, scan.valid)
 
 
 def _salvage_file(
@@ -230,19 +230,19 @@ def _salvage_file(
     salvaged = salvage_database(path)
     if salvaged.header is not None:
         _check_owner(path, salvaged.header, owner)
-    found = classify_entries(path, salvaged.entries.items(), may_be_stale=salvaged.may_be_stale)
-    is_whole = salvaged.is_complete and not found.damaged
+    scan = classify_entries(path, salvaged.entries.items(), may_be_stale=salvaged.may_be_stale)
+    is_whole = salvaged.is_complete and not scan.damaged
     head = salvaged.header if is_whole and salvaged.header is not None else _new_head(owner)
-    if not salvaged.is_complete or any(is_promise_lost(damage.entry) for damage in found.damaged):
+    if not salvaged.is_complete or any(is_promise_lost(damage.entry) for damage in scan.damaged):
         # The type of a missing record is unknown.
-        found.valid.pop(NO_RECORD, None)
-    new_name = _write_journal(path, head, found.valid, found.damaged, now)
-    count = len(found.valid)
+        scan.valid.pop(NO_RECORD, None)
+    new_name = _write_journal(path, head, scan.valid, scan.damaged, now)
+    count = len(scan.valid)
     report(
         f"the journal {path} is damaged ({reason}) and is now {new_name}: {count} page{'s' * (count != 1)} "
         f"of it could be read and count; {_NOTHING_LOST if is_whole else _PROMISES_LOST}"
     )
-    _report_damage(path, found.damaged, report)
+    _report_damage(path, scan.damaged, report)
 
 
 #: The consequence for the team when records are lost; the journal has a new id from then on.

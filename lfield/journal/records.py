@@ -238,19 +238,19 @@ def encode_record(record: Record, written_at: float) -> JournalEntry:
     return JournalEntry(key, written_at, VERSION, body, _check(key, written_at, VERSION, body))
 
 
-def decode_record(found: JournalEntry) -> Record:
+def decode_record(entry: JournalEntry) -> Record:
     """The record of an entry. Raises RecordError."""
     try:
-        if found.checksum != _check(*found[:-1]):
+        if entry.checksum != _check(*entry[:-1]):
             raise RecordError("its checksum does not fit")
-        if found.version > VERSION:
-            raise UnsupportedRecordVersion(f"it is of version {found.version}")
-        record = _decoder.decode(found.body)
+        if entry.version > VERSION:
+            raise UnsupportedRecordVersion(f"it is of version {entry.version}")
+        record = _decoder.decode(entry.body)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise RecordError(f"it cannot be read: {error}") from None
     except (TypeError, ValueError, AttributeError, struct.error):
         raise RecordError("it is not of the right kind") from None
-    if key_of(record) != found.key:
+    if key_of(record) != entry.key:
         raise RecordError("it is stored under another key")
     return record
 

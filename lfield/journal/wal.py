@@ -169,7 +169,7 @@ def _frame_slots(data: bytes, page_size: int) -> Iterator[tuple[int, int, bytes,
 
 def _checksums(data: bytes, start: Checksums, order: str) -> Checksums:
     first, second = start
-    for one, other in struct.iter_unpack(f"{order}II", data):
-        first = (first + one + second) & 0xFFFFFFFF
-        second = (second + other + first) & 0xFFFFFFFF
+    for even, odd in struct.iter_unpack(f"{order}II", data):
+        first = (first + even + second) & 0xFFFFFFFF
+        second = (second + odd + first) & 0xFFFFFFFF
     return first, second

@@ -124,14 +124,14 @@ def parse_deployment(
     the hosts that are known to have keys.
     """
     source = Source(name, text)
-    found = Diagnostics()
-    entries = _read_entries(source, found)
-    _Checks(found, units).check(entries)
-    check_hosts(entries, inventory, found)
-    if all(entry.is_witness for entry in entries) and not found.found:
-        found.add(messages.DEPLOY_EMPTY.at(Span(source, 0, 0)))
-    if found.errors:
-        return None, found.in_order()
+    diagnostics = Diagnostics()
+    entries = _read_entries(source, diagnostics)
+    _Checks(diagnostics, units).check(entries)
+    check_hosts(entries, inventory, diagnostics)
+    if all(entry.is_witness for entry in entries) and not diagnostics.found:
+        diagnostics.add(messages.DEPLOY_EMPTY.at(Span(source, 0, 0)))
+    if diagnostics.errors:
+        return None, diagnostics.in_order()
     kinds = units or {}
     agents = [
         DeployedAgent(
@@ -148,7 +148,7 @@ def parse_deployment(
         if not e.is_witness
     ]
     witnesses = tuple(Witness(e.host.text, e.port) for e in entries if e.is_witness)
-    return Deployment(name, tuple(agents), witnesses), found.in_order()
+    return Deployment(name, tuple(agents), witnesses), diagnostics.in_order()
 
 
 def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deployment:

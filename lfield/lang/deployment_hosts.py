@@ -23,7 +23,9 @@ _FEWEST_OTHERS = 3
 _KEY_ROWS = ("1234567890-", "qwertyuiop", "asdfghjkl", "zxcvbnm_")
 
 
-def check_hosts(entries: Sequence[DeploymentEntry], inventory: Collection[str], found: Diagnostics) -> None:
+def check_hosts(
+    entries: Sequence[DeploymentEntry], inventory: Collection[str], diagnostics: Diagnostics
+) -> None:
     """Report the hosts on one line that are probably misspelt; `inventory` has those that have keys."""
     counts = Counter(entry.host.text for entry in entries)
     lines = {entry.host.text: entry.host.line for entry in reversed(entries)}
@@ -42,14 +44,14 @@ def check_hosts(entries: Sequence[DeploymentEntry], inventory: Collection[str], 
         if host in inventory:
             continue
         if close is not None:
-            found.add(messages.LONE_HOST.at(entry.host, host=host, close=close, line=lines[close]))
+            diagnostics.add(messages.LONE_HOST.at(entry.host, host=host, close=close, line=lines[close]))
         elif is_relevant:
             known = sorted(inventory)
             hint = did_you_mean(host, known) or f"hosts with keys: {_sample_text(known)}"
             reason = f"it has no keys, and no other line names it; 'lfield keys host {host}' makes its keys"
-            found.add(messages.UNKNOWN_HOST.at(entry.host, hint=hint, host=host, reason=reason))
+            diagnostics.add(messages.UNKNOWN_HOST.at(entry.host, hint=hint, host=host, reason=reason))
     if not inventory and len(lone) == 1 and len(repeated) >= _FEWEST_OTHERS:
-        _check_only_lone(lone[0], repeated, entries, found)
+        _check_only_lone(lone[0], repeated, entries, diagnostics)
 
 
 def _check_only_lone(
@@ -91,9 +93,7 @@ def _resembles(host: str, other: str) -> bool:
         return False
     if name.lower() == known.lower():
         return False  # such hosts are reported as L709
-    start = next(
-        (at for at, (one, two) in enumerate(zip(name, known, strict=False)) if one != two), len(known)
-    )
+    start = next((at for at, (a, b) in enumerate(zip(name, known, strict=False)) if a != b), len(known))
     rest, known_rest = name[start:], known[start:]
     if rest[1:] == known_rest[1:]:
         return _are_neighbours(rest[:1].lower(), known_rest[:1].lower())

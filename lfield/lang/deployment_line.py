@@ -77,18 +77,18 @@ class _Malformed(Exception):
     """The line cannot be split; it is reported."""
 
 
-def read_line(line: Span, found: Diagnostics) -> DeploymentEntry | None:
+def read_line(line: Span, diagnostics: Diagnostics) -> DeploymentEntry | None:
     """The entry of a line; None for an empty line, a comment, or a line with mistakes (reported)."""
     comment = _COMMENT.search(line.text)
     whole = _trimmed(_part(line, 0, comment.start() if comment else len(line.text)))
     if not whole.text:
         return None
-    before = len(found.found)
+    before = len(diagnostics.found)
     try:
-        entry = _Reader(found).entry(whole)
+        entry = _Reader(diagnostics).entry(whole)
     except _Malformed:
         return None
-    return entry if len(found.found) == before else None
+    return entry if len(diagnostics.found) == before else None
 
 
 class _Reader:

@@ -86,27 +86,27 @@ def check_text(
 
 def _checked(
     files: FileSet,
-    found: Diagnostics,
+    diagnostics: Diagnostics,
     devices: Mapping[str, DeviceManifest],
     capabilities: CapabilityTypes | None,
 ) -> CheckResult:
     classes = _generated(files, devices, capabilities) if capabilities is not None else GeneratedClasses({})
-    if classes.classes and capabilities is not None and not found.errors:
+    if classes.classes and capabilities is not None and not diagnostics.errors:
         for diagnostic in capabilities.registry_problems(classes.classes, files.files):
-            found.add(diagnostic)
-        if found.errors:
+            diagnostics.add(diagnostic)
+        if diagnostics.errors:
             # Every call of a wrong portal would repeat the finding.
-            return CheckResult(None, found.in_order())
-    generated = [parse_file(source, found) for source in (*classes.common, *classes.classes.values())]
+            return CheckResult(None, diagnostics.in_order())
+    generated = [parse_file(source, diagnostics) for source in (*classes.common, *classes.classes.values())]
     program = check_program(
         [*generated, *files.files],
         devices,
-        found,
+        diagnostics,
         complete=files.complete,
         capabilities=capabilities,
         generated=frozenset(classes.classes),
     )
-    return CheckResult(None if found.errors else program, found.in_order())
+    return CheckResult(None if diagnostics.errors else program, diagnostics.in_order())
 
 
 def _keep_only_portals(file: syntax.ParsedFile, unit: syntax.Unit, known: Collection[str]) -> None:

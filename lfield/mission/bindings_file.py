@@ -115,14 +115,14 @@ def read_bindings(
     checked. Of `doubled` agents only limits, pose and attributes are read. Raises BindingError with all
     errors, InputFileError when the file cannot be read.
     """
-    found = Diagnostics()
-    node = read(str(path), found) if path is not None else None
+    diagnostics = Diagnostics()
+    node = read(str(path), diagnostics) if path is not None else None
     bindings = Bindings()
     if path is not None and node is not None:
         reader = BindingsReader(
             needed,
             DeviceBindingsReader(drivers, path.parent, simulate=simulate, resources=resources),
-            found,
+            diagnostics,
             hosts=hosts,
             homes=homes,
             doubled=doubled,
@@ -130,13 +130,13 @@ def read_bindings(
         reader.attributes = attributes
         bindings = reader.bindings(node)
     needed = without_doubles(needed, doubled)
-    problems = [diagnostic.render() for diagnostic in found.errors]
+    problems = [diagnostic.render() for diagnostic in diagnostics.errors]
     problems += _without_driver(needed, drivers)
     # A misspelt binding is not a missing one: report errors of the file first, and alone.
-    if not simulate and not found.errors:
+    if not simulate and not diagnostics.errors:
         problems += _unbound(bindings, needed, drivers, path) or unplaced_devices(bindings, needed, drivers)
     if problems:
-        raise BindingError(problems, found.errors)
+        raise BindingError(problems, diagnostics.errors)
     return on_fakes(bindings, needed, drivers, resources) if simulate else bindings
 
 
@@ -148,9 +148,9 @@ def unstated_options(
 
     `bindings` are those of the file, `resources` the types of the agents.
     """
-    found = Diagnostics()
-    node = read(str(path), found)
-    top = [] if node is None else YamlFields(node, found, "a devices file").section("agents").entries()
+    diagnostics = Diagnostics()
+    node = read(str(path), diagnostics)
+    top = [] if node is None else YamlFields(node, diagnostics, "a devices file").section("agents").entries()
     for agent, fields in top:
         for device, stated in fields.section("devices").entries():
             if (binding := bindings.devices.get(agent.key, {}).get(device.key)) is None:
@@ -162,8 +162,8 @@ def unstated_options(
                 values = dict.fromkeys(str(fake.get(option.name)) for fake in manifest.fakes.values())
                 message = f"{option.name} not stated: simulated as a {option.default}"
                 hint = f"write {option.name}: {' or '.join(values)}"
-                found.add(Diagnostic("Y116", message, device.key_span, hint, "warning"))
-    return found.in_order()
+                diagnostics.add(Diagnostic("Y116", message, device.key_span, hint, "warning"))
+    return diagnostics.in_order()
 
 
 def read_frames(path: Path | None, homes: Mapping[str, str]) -> Frames:

@@ -37,7 +37,7 @@ from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.input_files import error_reason, read_head, require_file
 from lfield.text.source_text import Diagnostic, PlainFinding
 from lfield.text.terminal_escape import printable_argument
-from lfield.vm.offer_objects import ways
+from lfield.vm.offer_objects import realisations
 
 if TYPE_CHECKING:
     from lfield.lang.frontend import CheckResult
@@ -104,7 +104,7 @@ def load_mission(
 
         warnings += check_files(literals, bindings.all, team.types, plugins)
     drivers = drivers_for(plugins, {device.type for device in bindings.all})
-    registry = restrict_to_program(types.registry, loaded, plugins, hollow) if ways(loaded) else None
+    registry = restrict_to_program(types.registry, loaded, plugins, hollow) if realisations(loaded) else None
     chosen = chosen_fakes(bindings, without_doubles(needed, doubled), plugins, team.types) if simulate else []
     access = _access(deploy, team, loaded, types)
     mission = Mission(
@@ -279,7 +279,7 @@ def compile_file(
 def _compiled(
     checked: CheckResult,
     capabilities: RegistryTypes,
-    known: Plugins,
+    plugins: Plugins,
     doubled: Collection[str] = (),
     literals: list[FileLiteral] | None = None,
 ) -> Program:
@@ -289,13 +289,13 @@ def _compiled(
 
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
-    embedded = embed_files(checked.program, known)
+    embedded = embed_files(checked.program, plugins)
     if literals is not None:
         literals += embedded.plans
     program = compile_program(checked.program)
     if embedded.areas:
         program = program.with_sources(embedded.areas)
-    if mistakes := _registry_misfits(capabilities, program, known, doubled):
+    if mistakes := _registry_misfits(capabilities, program, plugins, doubled):
         raise ProgramError([*checked.diagnostics, *mistakes])
     return program
 
@@ -304,14 +304,14 @@ def mission_problems(deploy: Path) -> list[ReportableFinding]:
     """Findings between the files of a valid deployment. An unbound device is none: it may be simulated."""
     if (program := sibling_file(deploy, ".L")) is None:
         return []
-    found: list[ReportableFinding] = []
+    findings: list[ReportableFinding] = []
     bound, plugins = Bindings(), discover()
     try:
         if (devices := sibling_file(deploy, DEVICES)) is not None:
             complete = load_mission(deploy, simulate=True)
-            found += _without_fakes(complete, devices)
-            found += unstated_options(devices, complete.bindings, complete.drivers, complete.team.types)
-            found += [PlainFinding(message, "warning") for message in duplicate_statements(complete)]
+            findings += _without_fakes(complete, devices)
+            findings += unstated_options(devices, complete.bindings, complete.drivers, complete.team.types)
+            findings += [PlainFinding(message, "warning") for message in duplicate_statements(complete)]
             bound, loaded = complete.bindings, complete.program
         else:
             loaded = compile_file(program, plugins)[0]
@@ -328,7 +328,7 @@ def mission_problems(deploy: Path) -> list[ReportableFinding]:
             *error.findings,
             *(PlainFinding(problem) for problem in error.problems[len(error.findings) :]),
         ]
-    return [*found, *quorum_warnings(deployment, mission)]
+    return [*findings, *quorum_warnings(deployment, mission)]
 
 
 def _without_fakes(mission: Mission, devices: Path) -> Sequence[ReportableFinding]:
@@ -353,19 +353,19 @@ def check_file(path: Path, inventory: Collection[str] = ()) -> Sequence[Reportab
     program_path = path.with_suffix(".L")
     units: Mapping[str, UnitKind] | None = None
     checked: CheckResult | None = None
-    found: list[ReportableFinding] = []
+    findings: list[ReportableFinding] = []
     if program_path.exists():
         plugins = discover()
         try:
             checked, capabilities = check_program_file(program_path, plugins)
             units = _compiled(checked, capabilities, plugins).units
         except ProgramError as error:
-            found = list(error.diagnostics)
+            findings = list(error.diagnostics)
     try:
         deployment, warnings = read_with_warnings(path, units, inventory)
-        found += warnings
+        findings += warnings
         if units is not None and checked is not None and checked.program is not None:
-            found += argument_findings(checked.program.units, deployment)
+            findings += argument_findings(checked.program.units, deployment)
     except ProgramError as error:
-        found += error.diagnostics
-    return found
+        findings += error.diagnostics
+    return findings

@@ -45,24 +45,24 @@ def check_registry(
         *installed,
         *(path for path in files if path not in missions and path.resolve() not in installed_paths),
     ]
-    found, unserved = Diagnostics(), dict[str, PlainFinding]()
+    diagnostics, unserved = Diagnostics(), dict[str, PlainFinding]()
     each: Sequence[Path | None] = missions or [None]
     for mission in each:
         deployment = None if mission is None else _deployment(mission)
         chosen = program or (sibling_file(deployment, ".L") if deployment is not None else None)
-        units = {} if chosen is None else signatures_of(program_files(chosen, plugins, found))
+        units = {} if chosen is None else signatures_of(program_files(chosen, plugins, diagnostics))
         agents = None if deployment is None else agents_of(deployment)
         registry, mistakes = check_files(base, mission=mission, agents=agents)
         for mistake in mistakes:
-            found.add(mistake)
+            diagnostics.add(mistake)
         if registry is None:
             continue
-        check_classes(registry, found)
+        check_classes(registry, diagnostics)
         for mistake in _misfits(registry, mission, chosen, units, plugins):
             if not _is_in(mistake.span, installed) or _is_in(mistake.span, files):
-                found.add(mistake)
+                diagnostics.add(mistake)
         unserved |= {note.message: note for note in _unserved(registry, units, installed)}
-    return [*_without_duplicates(found.in_order()), *unserved.values()]
+    return [*_without_duplicates(diagnostics.in_order()), *unserved.values()]
 
 
 def _is_in(span: Span, files: Iterable[Path]) -> bool:
@@ -83,18 +83,18 @@ def _misfits(
     plugins: Plugins,
 ) -> list[Diagnostic]:
     """The mismatches between a registry and the resource types of a program."""
-    found = Diagnostics()
-    check_against(registry, units, found)
+    diagnostics = Diagnostics()
+    check_against(registry, units, diagnostics)
     resources = {name: unit for name, unit in units.items() if unit.kind == "resource"}
     devices = {name: unit.devices for name, unit in resources.items()}
-    convert_live_units(registry, devices, plugins.device_types, found)
+    convert_live_units(registry, devices, plugins.device_types, diagnostics)
     if mission is not None and program is not None:
-        check_types(registry, mission, resources, plugins.find_source, found)
+        check_types(registry, mission, resources, plugins.find_source, diagnostics)
     if program is not None and _has_queries(registry):
         # `lfield check` reports the errors of the program itself.
         with suppress(ProgramError):
-            check_feed_portals(registry, compile_file(program)[0], found)
-    return found.in_order()
+            check_feed_portals(registry, compile_file(program)[0], diagnostics)
+    return diagnostics.in_order()
 
 
 def _unserved(

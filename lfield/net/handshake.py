@@ -72,7 +72,7 @@ class Handshake:
                 "stop, or use sudo"
             )
         if self.decision.extent == "nothing":
-            self._refuse(self.decision.why)
+            self._refuse(self.decision.reason)
         return self.own if identity.kind == "host" else self.own.summary
 
     def receive(self, message: Message) -> Hello:

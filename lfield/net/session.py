@@ -276,7 +276,7 @@ class Session:
     def on_reauthorised(self, verdict: AdmissionDecision) -> None:
         """Apply a changed authorisation: close the link, or reduce its permissions."""
         self._handshake.reauthorise(verdict)
-        identity, reason = self.link.identity, verdict.why
+        identity, reason = self.link.identity, verdict.reason
         if verdict.extent == "nothing":
             self._owner.log_once(log_messages.PEER_REFUSED.line(peer=identity, reason=reason))
             self.close_with_error(reason)

@@ -120,13 +120,13 @@ def ask_in_turn(
     """
     places = {place: address for team in teams for place, address in team.host_refs.items()}
     failed: dict[HostRef, LfieldError] = {}
-    known, desk = None, None
+    known_hosts, desk = None, None
     try:
         own = own_keys(places.values(), keys)
-        known = KnownHosts.read(own.authority) if own is not None else None
-        transport, brings = observer_transport(own, known), presented_crl(own)
-        if own is not None and known is not None and isinstance(request.message, OrderMessage):
-            desk = order_sender(own, known)
+        known_hosts = KnownHosts.read(own.authority) if own is not None else None
+        transport, brings = observer_transport(own, known_hosts), presented_crl(own)
+        if own is not None and known_hosts is not None and isinstance(request.message, OrderMessage):
+            desk = order_sender(own, known_hosts)
     except KeysError as error:
         # Requests to hosts of this computer need no keys: it may be a stop.
         transport, brings = observer_transport(), None
@@ -147,8 +147,8 @@ def ask_in_turn(
         answers |= runner.run(asking.foreign())
         if others := {place: answers[place] for place in places if place.user}:
             yield others
-    if known is not None:
-        _remember(known, answers)
+    if known_hosts is not None:
+        _remember(known_hosts, answers)
     for bug in asking.bugs:
         raise bug
 

@@ -28,7 +28,7 @@ class ResetPlan(NamedTuple):
 
     discarded: Sequence[CoordinatorRecord]
     departed: Sequence[CoordinatorRecord]
-    pages: Sequence[Record]
+    records: Sequence[Record]
     parked: Mapping[CoordinatorRecord, str]
 
 

@@ -63,19 +63,21 @@ def parse_query(text: str, registry: Registry) -> CapabilityQuery:
     return CapabilityQuery(text.strip(), tuple(primitives), offers or ANY_OFFER)
 
 
-def _primitives(name: str, place: Span, registry: Registry, found: list[Diagnostic]) -> Sequence[Primitive]:
+def _primitives(
+    name: str, place: Span, registry: Registry, diagnostics: list[Diagnostic]
+) -> Sequence[Primitive]:
     if name in registry.primitives:
         return [registry.primitives[name]]
     term = term_of(registry, name)
     if term is None:
         hint = did_you_mean(name[:80], [*registry.primitives, *registry.terms])
         hint = hint or "'lfield capabilities tree' lists all terms"
-        found.append(messages.UNKNOWN_PRIMITIVE.at(place, hint=hint, name=name))
+        diagnostics.append(messages.UNKNOWN_PRIMITIVE.at(place, hint=hint, name=name))
         return ()
     below = primitives_below(registry, term.id)
     if not below:
         problem = f"nothing at or below '{term.id}' can be called"
-        found.append(messages.BAD_EXPRESSION.at(place, problem=problem))
+        diagnostics.append(messages.BAD_EXPRESSION.at(place, problem=problem))
     return below
 
 

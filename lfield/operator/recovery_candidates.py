@@ -34,25 +34,25 @@ def best_candidate(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]) -> R
     copy.
     """
     require_no_live_copy(agent, hosts, names)
-    found = list(records(agent, hosts))
+    known_records = list(records(agent, hosts))
     _require_none_parked(agent, hosts, names)
-    copies = [(place, known) for place, known in found if known.state in ("MOVED", "IN DOUBT")]
-    ended = max((known.generation for _, known in found if known.outcome in TERMINATED), default=0)
-    copies = [(place, known) for place, known in copies if known.generation > ended]
+    copies = [(place, record) for place, record in known_records if record.state in ("MOVED", "IN DOUBT")]
+    ended = max((record.generation for _, record in known_records if record.outcome in TERMINATED), default=0)
+    copies = [(place, record) for place, record in copies if record.generation > ended]
     if not copies:
-        raise UsageError(_nothing_left(agent, found, hosts, names))
+        raise UsageError(_nothing_left(agent, known_records, hosts, names))
     if len({place.run for place, _ in copies}) > 1:
         raise UsageError(f"several runs here have a coordinator {agent}: name one with --run")
     copies.sort(key=lambda pair: (pair[1].generation, pair[1].hops, pair[1].sequence))
-    readable = [n for n, (_, known) in enumerate(copies) if not known.unreadable]
+    readable = [n for n, (_, record) in enumerate(copies) if not record.unreadable]
     if not readable:
         where = ", ".join(names[place] for place, _ in copies)
         raise UsageError(f"the copy of {agent} on {where} cannot be read: it cannot be recovered")
     place, newest = copies[readable[-1]]
-    above = max(known.generation for _, known in found)
+    above = max(record.generation for _, record in known_records)
     request = RecoverRequest(agent, newest.generation, newest.sequence, above)
     first, *more = _lines(place, newest, hosts, names)
-    newer = [_newer(names[place], known) for place, known in copies[readable[-1] + 1 :]]
+    newer = [_newer(names[place], record) for place, record in copies[readable[-1] + 1 :]]
     return RecoveryCandidate(place, request, [first, *newer, *more])
 
 
@@ -79,22 +79,22 @@ def _require_none_parked(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]
 
 def _nothing_left(
     agent: str,
-    found: Sequence[tuple[HostRef, CoordinatorState]],
+    known_records: Sequence[tuple[HostRef, CoordinatorState]],
     hosts: _Hosts,
     names: Mapping[HostRef, str],
 ) -> str:
     place, copy = next(parked_copies(agent, hosts), (None, None))
-    if not found and place and copy:
+    if not known_records and place and copy:
         return (
             f"{agent} is of another mission ({copy.program.hex()[:16]}), for which {names[place]} keeps a "
             "copy: start that mission again to continue it"
         )
-    if not found:
+    if not known_records:
         return (
             f"no reachable host has a copy of coordinator {agent}: if it never left its home, the only copy "
             "is there, and continues when that host is started again"
         )
-    last = max((known for _, known in found), key=lambda known: known.generation)
+    last = max((record for _, record in known_records), key=lambda record: record.generation)
     return f"{agent} has ended on {last.where} ({last.outcome}): it cannot be recovered"
 
 

@@ -120,20 +120,20 @@ def _own_dirs() -> list[Path]:
 
 def _dirs_of_others() -> dict[int, list[Path]]:
     """The directories of other users that have their owner's user id in their path."""
-    found: dict[int, list[Path]] = defaultdict(list)
+    dirs_by_owner: dict[int, list[Path]] = defaultdict(list)
     if _is_root():
         for path in sorted(SESSIONS.glob("*/lfield")):
             with suppress(OSError):
                 if path.parent.name == str(path.lstat().st_uid):
-                    found[path.lstat().st_uid].append(path)
+                    dirs_by_owner[path.lstat().st_uid].append(path)
     with suppress(OSError), os.scandir(user_dirs.SHARED) as entries:
         for entry in entries:
             named = _SHARED_NAME.fullmatch(entry.name)
             with suppress(OSError):
                 if named and entry.stat(follow_symlinks=False).st_uid == int(named[1]):
-                    found[int(named[1])].append(user_dirs.SHARED / entry.name)
-    found.pop(os.geteuid(), None)
-    return dict(sorted(found.items()))
+                    dirs_by_owner[int(named[1])].append(user_dirs.SHARED / entry.name)
+    dirs_by_owner.pop(os.geteuid(), None)
+    return dict(sorted(dirs_by_owner.items()))
 
 
 def _group_of(path: Path) -> int:

@@ -54,20 +54,20 @@ class DeviceProgress:
     telemetry: dict[str, Telemetry] | None = None
     last_report: tuple[str, float] | None = None
 
-    def update(self, found: DeviceState, since: float, now: float) -> None:
+    def update(self, state: DeviceState, since: float, now: float) -> None:
         """Handles a report of the host about the device. Telemetry from before the stop, `since` s ago, is
         no proof of rest.
         """
-        self.telemetry = found.telemetry
-        if found.silent is not None and found.silent >= min(since, SILENCE_TIMEOUT):
-            if now - found.silent > self.last_contact + MIN_ADVANCE:
-                self.last, self.last_contact = telemetry_text(found.telemetry), now - found.silent
-            if found.silent >= SILENCE_TIMEOUT:
+        self.telemetry = state.telemetry
+        if state.silent is not None and state.silent >= min(since, SILENCE_TIMEOUT):
+            if now - state.silent > self.last_contact + MIN_ADVANCE:
+                self.last, self.last_contact = telemetry_text(state.telemetry), now - state.silent
+            if state.silent >= SILENCE_TIMEOUT:
                 self.activity = "no longer reporting"
             return
-        self.is_at_rest = found.at_rest
-        self.activity = self.last = _activity(found)
-        self.last_contact = now - (found.silent or 0.0)
+        self.is_at_rest = state.at_rest
+        self.activity = self.last = _activity(state)
+        self.last_contact = now - (state.silent or 0.0)
 
     def on_host_answered(self) -> None:
         """Records an answer of the host, whether or not it contains this device."""

@@ -11,7 +11,7 @@ from lfield.capability.directory.agent_profile import AgentIdentity, AgentProfil
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Attribute, Primitive, Registry, Value
 from lfield.capability.offer import Candidate, Fact, Offer, Position, Rejection
-from lfield.capability.program_types.class_generator import UsableWays
+from lfield.capability.program_types.class_generator import UsableRealisations
 from lfield.capability.program_types.program_check import check_against, satisfied
 from lfield.capability.program_types.program_resources import resources_of
 from lfield.capability.registry_reader.registry_files import is_shipped, read_registry
@@ -29,7 +29,7 @@ from lfield.mission.team import Team
 from lfield.operator.query_parser import CapabilityQuery
 from lfield.operator.team_model.team_state import HostState
 from lfield.text.source_text import Diagnostics
-from lfield.vm.offer_objects import ways
+from lfield.vm.offer_objects import realisations
 from lfield.wire.observer_messages import AttributeReading, DirectoryEntry
 
 #: For each host, the agents in its directory.
@@ -54,7 +54,7 @@ class Roster:
             self._by_type.setdefault(candidate.type, []).append(candidate)
         self._place = location_of((candidate for candidate in found if candidate.hops == 0), attributes, pose)
 
-    def here(self) -> Position | None:
+    def location(self) -> Position | None:
         """The position of the querying host."""
         return self._place
 
@@ -67,13 +67,13 @@ class Roster:
 class QueryContext:
     """The inputs of a query: the registry as on the hosts, and the attributes that bindings state of agents.
 
-    The registry is restricted to the resources of the program. `ways` are the possible providers of each
-    primitive; None if the program could not be compiled. `frames` are the places of hosts; those of agents
-    are in the registry.
+    The registry is restricted to the resources of the program. `realisations` are the possible providers of
+    each primitive; None if the program could not be compiled. `frames` are the places of hosts; those of
+    agents are in the registry.
     """
 
     registry: Registry
-    ways: Mapping[str, Collection[str]] | None = None
+    realisations: Mapping[str, Collection[str]] | None = None
     stated: Mapping[str, Mapping[str, StatedValue]] = field(default_factory=dict)
     frames: Frames = field(default_factory=Frames)
 
@@ -102,7 +102,7 @@ def read_context(path: Path, team: Team, capabilities: Path | None = None) -> Qu
 
 
 def _context(mission: Mission, registry: Registry) -> QueryContext:
-    """The context with the ways that the program was built with, and the possible ways of other
+    """The context with the realisations that the program was built with, and the possible ones of other
     primitives.
     """
     program, bindings = mission.program, mission.bindings
@@ -111,14 +111,14 @@ def _context(mission: Mission, registry: Registry) -> QueryContext:
     check_stated(bindings.attributes, fitting)
     return QueryContext(
         with_poses(fitting, mission.team.types, bindings.frames),
-        {**UsableWays(fitting, resources).all_ways(), **ways(program)},
+        {**UsableRealisations(fitting, resources).all_realisations(), **realisations(program)},
         bindings.attributes,
         bindings.frames,
     )
 
 
 def _partial_context(path: Path, team: Team, own: Path | None) -> QueryContext:
-    """The context of a deployment with errors: all ways are open to the readable resources."""
+    """The context of a deployment with errors: all realisations are open to the readable resources."""
     program = sibling_file(path, ".L")
     files = [] if program is None else program_files(program, discover(), Diagnostics())
     registry = _registry(own, team, signatures_of([file for file in files if not file.broken]))
@@ -151,7 +151,7 @@ def roster_from_files(
     `stated` are the attributes from their bindings, `at` the querying host ('' for none), for the number of
     hops, and `pose` its place.
     """
-    found = (
+    candidates = (
         known.candidate(
             _hops(known, at),
             "",
@@ -161,7 +161,7 @@ def roster_from_files(
         )
         for known in agent_profiles(registry, agents).values()
     )
-    return Roster(found, registry.attributes, pose)
+    return Roster(candidates, registry.attributes, pose)
 
 
 def roster_from_hosts(

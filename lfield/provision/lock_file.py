@@ -59,7 +59,7 @@ def normalized(name: str) -> str:
 
 def read_lock(text: str, path: str) -> list[Pin]:
     """The pins of a lock file. Raises DamagedFileError."""
-    found = []
+    pins = []
     for line in text.replace("\\\n", " ").splitlines():
         line = line.partition("#")[0].strip()
         if not line:
@@ -68,8 +68,8 @@ def read_lock(text: str, path: str) -> list[Pin]:
         if match is None:
             raise DamagedFileError(path, f"'{line[:60]}' is no pinned requirement")
         hashes = frozenset(_HASH.findall(line))
-        found.append(Pin(match["name"], match["version"], match["marker"] or "", hashes))
-    return found
+        pins.append(Pin(match["name"], match["version"], match["marker"] or "", hashes))
+    return pins
 
 
 def needed_pins(pins: Iterable[Pin], target: WheelTarget) -> list[Pin]:

@@ -60,7 +60,7 @@ async def make_own_wheel(folder: Path) -> Path:
         "-w",
         str(folder),
     )
-    await run_pip(*arguments, str(sources), what="lfield's own wheel cannot be built")
+    await run_pip(*arguments, str(sources), operation="lfield's own wheel cannot be built")
     (wheel,) = folder.glob("lfield-*.whl")
     return wheel
 
@@ -141,7 +141,7 @@ def _contents(installed: Distribution) -> Iterator[tuple[str, bytes]]:
         yield name, data
 
 
-async def run_pip(*arguments: str, what: str) -> None:
+async def run_pip(*arguments: str, operation: str) -> None:
     """Run the pip of this Python. Raises ProvisionError with the end of its output."""
     status, _, errors = await run_process(sys.executable, "-m", "pip", *arguments)
     message = errors.decode(errors="replace")
@@ -149,4 +149,4 @@ async def run_pip(*arguments: str, what: str) -> None:
         raise ProvisionError("", "the desk's Python has no pip", f"{sys.executable} -m ensurepip")
     if status:
         lines = [line for line in message.splitlines() if line.startswith("ERROR")] or message.splitlines()
-        raise ProvisionError("", f"{what}: {lines[0].removeprefix('ERROR: ') if lines else status}")
+        raise ProvisionError("", f"{operation}: {lines[0].removeprefix('ERROR: ') if lines else status}")

@@ -150,7 +150,7 @@ async def _pip_download(pins: Sequence[Pin], target: WheelTarget, folder: Path) 
         await run_pip(
             *("download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary", ":all:"),
             *("--require-hashes", *target.pip_options(), "-d", str(folder), "-r", lock.name),
-            what="pip download",
+            operation="pip download",
         )
     names = {normalized(path.name.partition("-")[0]) for path in folder.glob("*.whl")}
     if missing := [str(pin) for pin in pins if normalized(pin.name) not in names]:

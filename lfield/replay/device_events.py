@@ -134,14 +134,14 @@ class SafetyStop(NamedTuple):
 
 def safety_stops(recording: TeamRecording) -> list[SafetyStop]:
     """The safety stops of a recording, by time; those of the ends of hosts are not among them."""
-    found: list[SafetyStop] = []
+    stops: list[SafetyStop] = []
     for incarnation in recording.incarnations:
         host, start = incarnation.host, incarnation.parts[0].start
         for event in outside_events(incarnation.parts):
             if isinstance(event.what, events.EmergencyStopChanged) and not event.what.lifted:
                 by, reason = event.what.by, event.what.reason
                 line = str(log_messages.EMERGENCY_STOP.line(operator=by, reason=reason))
-                found.append(SafetyStop(host, start.wall + event.at - start.at, "", by, reason, line))
+                stops.append(SafetyStop(host, start.wall + event.at - start.at, "", by, reason, line))
         for paths in rings_in(incarnation.folder).values():
             for each in device_events(paths):
                 match each.what:
@@ -152,5 +152,5 @@ def safety_stops(recording: TeamRecording) -> list[SafetyStop]:
                             log_messages.DEVICE_GOES_SAFE.line(device=device, state=state, reason=reason)
                         )
                         at = start.wall + each.time - start.at
-                        found.append(SafetyStop(host, at, device, "", reason, line))
-    return sorted(found, key=lambda stop: stop.at)
+                        stops.append(SafetyStop(host, at, device, "", reason, line))
+    return sorted(stops, key=lambda stop: stop.at)

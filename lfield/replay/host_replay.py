@@ -36,7 +36,7 @@ from lfield.vm.turns.run_limit import ReplayedRunLimit
 class Divergence(NamedTuple):
     """The first difference in a turn: its subject, and the values in the recording and in the replay."""
 
-    what: str
+    subject: str
     recorded: object
     replayed: object
 
@@ -194,8 +194,8 @@ class HostReplay:
             core.run()
             effects = core.drain_effects()
             self.turn = number + 1
-            found = Divergence("effects", [], _plain(effects)) if effects else None
-            return ReplayedTurn(number, record, effects, found, 1)
+            divergence = Divergence("effects", [], _plain(effects)) if effects else None
+            return ReplayedTurn(number, record, effects, divergence, 1)
         if record.entry is not None:
             record.entry.enter(core)
         if self._on_input is not None:
@@ -204,8 +204,8 @@ class HostReplay:
             core.run()
         effects = core.drain_effects() if record.run else []
         self.turn = number + 1
-        found = self._compare(record.effects, effects, record.digests)
-        return ReplayedTurn(number, record, effects, found, 1 + len(record.digests))
+        divergence = self._compare(record.effects, effects, record.digests)
+        return ReplayedTurn(number, record, effects, divergence, 1 + len(record.digests))
 
     def _compare(
         self, recorded: bytes, effects: list[Effect], digests: list[BlockDigest]

@@ -187,7 +187,7 @@ def _folders(paths: Iterable[Path]) -> list[Path]:
 
     Of copies of one folder the first is used.
     """
-    found: dict[object, Path] = {}
+    folders: dict[object, Path] = {}
     for path in paths:
         if not path.exists():
             raise InputFileError(str(path), "it does not exist")
@@ -201,8 +201,8 @@ def _folders(paths: Iterable[Path]) -> list[Path]:
         if not inner:
             raise RecordingError(f"{path} has no recording")
         for each in inner:
-            found.setdefault(each if parse_folder(each) is None else each.name, each)
-    return list(found.values())
+            folders.setdefault(each if parse_folder(each) is None else each.name, each)
+    return list(folders.values())
 
 
 def _incarnations_in(folder: Path) -> list[Path]:

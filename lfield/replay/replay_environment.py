@@ -140,7 +140,7 @@ class ReplayEnvironment:
         found = self._value(Question.LAST, device, quantity)
         return None if found is None else Observation(*found)
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         """See `DeviceReadings`."""
         found = self._value(Question.TROUBLE, device)
         return None if found is None else Unavailability(*found)

@@ -38,7 +38,7 @@ class FirstDifference:
     turn: int
     agent: str
     place: str
-    what: str
+    subject: str
     recorded: object
     replayed: object
 
@@ -50,7 +50,7 @@ class FirstDifference:
             "turn": self.turn,
             "agent": self.agent,
             "place": self.place,
-            "what": self.what,
+            "what": self.subject,
             "recorded": plain(self.recorded),
             "replayed": plain(self.replayed),
         }
@@ -115,19 +115,19 @@ def check_part(
     recording: HostRecording, replay: HostReplay, on_progress: OnProgress = lambda turns: None
 ) -> PartResult:
     """Replay one part up to its first difference."""
-    found = PartResult(recording.host, recording.start.incarnation)
+    result = PartResult(recording.host, recording.start.incarnation)
     first = recording.started_at
     for turn in replay:
-        found.turns += 1
-        found.digests += turn.digests
-        found.seconds = turn.record.at - first
-        if found.turns % PROGRESS_TURNS == 0:
+        result.turns += 1
+        result.digests += turn.digests
+        result.seconds = turn.record.at - first
+        if result.turns % PROGRESS_TURNS == 0:
             on_progress(PROGRESS_TURNS)
         if turn.divergence is not None:
-            found.first = difference_at(replay, turn)
+            result.first = difference_at(replay, turn)
             break
-    on_progress(found.turns % PROGRESS_TURNS)
-    return found
+    on_progress(result.turns % PROGRESS_TURNS)
+    return result
 
 
 def check_guards(recording: TeamRecording) -> tuple[list[PartResult], list[str]]:
@@ -151,7 +151,7 @@ def _guard_result(incarnation: Incarnation, device: str, replay: GuardReplay) ->
     found = PartResult(incarnation.host, start.incarnation, guard=device)
     found.digests = replay.digests
     if (first := replay.first) is not None:
-        subject = f"decision of the guard of {device} about {first.given}"
+        subject = f"decision of the guard of {device} about {first.input}"
         found.first = FirstDifference(
             incarnation.host, first.wall_time, 0, "", "", subject, first.recorded, first.replayed
         )
@@ -162,12 +162,11 @@ def difference_at(replay: HostReplay, turn: ReplayedTurn) -> FirstDifference:
     """The difference of a turn that was just replayed, with the position of the agent that it concerns."""
     divergence, start = turn.divergence, replay.recording.start
     assert divergence is not None
-    agent = _agent_of(divergence.what, divergence.replayed, divergence.recorded)
+    agent = _agent_of(divergence.subject, divergence.replayed, divergence.recorded)
     place = position(replay.core, agent)
     at = turn.record.at - start.at + start.wall
-    return FirstDifference(
-        start.host, at, turn.number, agent, place, divergence.what, divergence.recorded, divergence.replayed
-    )
+    values = divergence.recorded, divergence.replayed
+    return FirstDifference(start.host, at, turn.number, agent, place, divergence.subject, *values)
 
 
 def position(core: HostCore, agent: str) -> str:

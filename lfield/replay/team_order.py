@@ -153,17 +153,20 @@ class TeamOrder:
             for arrived in self.arrivals.get(hop, ()):
                 pair = sent.part, arrived.part
                 low[pair] = max(low.get(pair, -math.inf), sent.at - arrived.at)
-        found: dict[tuple[int, int], tuple[float, float]] = {}
+        bounds_by_pair: dict[tuple[int, int], tuple[float, float]] = {}
         for part, other in {*low, *((b, a) for a, b in low)}:
-            found[part, other] = low.get((part, other), -math.inf), -low.get((other, part), -math.inf)
+            bounds_by_pair[part, other] = (
+                low.get((part, other), -math.inf),
+                -low.get((other, part), -math.inf),
+            )
         for part, other in permutations(range(len(self.parts)), 2):
             if (opened := self._opened_at(part, other)) is None:
                 continue
             bounds = opened - LINK_TOLERANCE, opened + LINK_TOLERANCE
-            known = found.get((part, other), (-math.inf, math.inf))
-            both = max(bounds[0], known[0]), min(bounds[1], known[1])
-            found[part, other] = both if both[0] <= both[1] else known
-        return found
+            previous = bounds_by_pair.get((part, other), (-math.inf, math.inf))
+            both = max(bounds[0], previous[0]), min(bounds[1], previous[1])
+            bounds_by_pair[part, other] = both if both[0] <= both[1] else previous
+        return bounds_by_pair
 
     def _opened_at(self, part: int, other: int) -> float | None:
         """The offset of `other` at which both opened their link at the same time; None without a link."""

@@ -46,7 +46,7 @@ class ActivationState(Struct, frozen=True):
         return self.earlier[-1] if self.earlier else b""
 
     @property
-    def kept(self) -> list[bytes]:
+    def protected_bundles(self) -> list[bytes]:
         """The bundles that are never removed."""
         return [self.active, self.previous]
 

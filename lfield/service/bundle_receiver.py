@@ -42,7 +42,7 @@ class BundleFiles(Protocol):
 
     def stored(self) -> list[bytes]: ...
     def read(self, digest: bytes) -> bytes | None: ...
-    def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None: ...
+    def add(self, digest: bytes, data: bytes, protected: list[bytes]) -> None: ...
     def start_upload(self, file: bytes, under_way: Collection[bytes]) -> None: ...
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
     def put(self, file: bytes, number: int, data: bytes) -> None: ...
@@ -62,17 +62,18 @@ class ArrivingUpload(NamedTuple):
 
 
 class BundleReceiver:
-    """`verify` checks digest and signature of a bundle; `kept` are the bundles that are never removed."""
+    """`verify` checks digest and signature of a bundle; `protected` are those that are never removed."""
 
     def __init__(
         self,
         files: BundleFiles,
         verify: Verify,
-        kept: Callable[[], list[bytes]],
+        protected: Callable[[], list[bytes]],
         note: Callable[[LogLine], None],
         now: Callable[[], float],
     ) -> None:
-        self._files, self._verify, self._kept, self._note, self._now = files, verify, kept, note, now
+        self._files, self._verify, self._protected = files, verify, protected
+        self._note, self._now = note, now
         self._infos: dict[bytes, BundleInfo] = {}
         #: Uploads by file. After a restart of the service the desks offer their pieces again.
         self._uploads: dict[bytes, ArrivingUpload] = {}
@@ -130,7 +131,7 @@ class BundleReceiver:
                 raise SignatureError(
                     f"the file is bundle {short_digest(info.digest)}, another one was offered"
                 )
-            self._files.add(info.digest, data, self._kept())
+            self._files.add(info.digest, data, self._protected())
             self._drop(request.file)
         except LfieldError as error:
             self._note(messages.BUNDLE_REFUSED.line(bundle=short_digest(request.digest), reason=error))
@@ -174,9 +175,9 @@ class BundleReceiver:
         data = self._files.read(digest)
         return "its bundle was deleted" if data is None else access_of(data).assistant_refusal(person)
 
-    def infos(self, most: int) -> list[BundleInfo]:
+    def infos(self, limit: int) -> list[BundleInfo]:
         """The newest stored bundles that are valid."""
-        found = [self.info(digest) for digest in self._files.stored()[:most]]
+        found = [self.info(digest) for digest in self._files.stored()[:limit]]
         return [info for info in found if info is not None]
 
     def info(self, digest: bytes) -> BundleInfo | None:

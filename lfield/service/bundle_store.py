@@ -134,10 +134,10 @@ class BundleStore:
             raise InputFileError(str(self.path(digest)), "it was deleted")
         return data
 
-    def add(self, digest: bytes, data: bytes, kept: Collection[bytes]) -> None:
-        """Store a bundle, and remove the oldest others that are not `kept`."""
+    def add(self, digest: bytes, data: bytes, protected: Collection[bytes]) -> None:
+        """Store a bundle, and remove the oldest others that are not `protected`."""
         write_private(self.path(digest), data, durable=True)
-        others = [each for each in self.stored() if each not in kept and each != digest]
+        others = [each for each in self.stored() if each not in protected and each != digest]
         for old in others[KEPT_BUNDLES:]:
             self.path(old).unlink(missing_ok=True)
 

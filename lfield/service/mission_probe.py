@@ -100,17 +100,17 @@ class LocalProbe:
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
         """See `MissionProbe`."""
-        found = await asyncio.to_thread(lambda: list(self._in_journals()))
+        coordinators = await asyncio.to_thread(lambda: list(self._in_journals()))
         if not self._pid():
-            return found
+            return coordinators
         try:
             status = await self._snapshot()
         except LfieldError:
-            return found
+            return coordinators
         running = {coordinator.agent: coordinator for coordinator in _in_snapshot(status)}
         return [
             *running.values(),
-            *(coordinator for coordinator in found if coordinator.agent not in running),
+            *(coordinator for coordinator in coordinators if coordinator.agent not in running),
         ]
 
     async def is_up(self) -> bool:
@@ -165,7 +165,7 @@ class LocalProbe:
             owner = JournalOwner(found, self._host, machine_id())
             with closing(FileJournal(path, owner, lambda text: None, self._clock)) as journal:
                 plan = plan_discard(self._host, journal.records(), reason)
-                await journal.persist(plan.pages)
+                await journal.persist(plan.records)
             ended += [record.agent for record in plan.discarded]
         return list(dict.fromkeys(ended))
 

@@ -70,11 +70,11 @@ class Service:
         #: The time of the vote in the open ballot (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
         #: The reason why the state could not be stored at the last attempt, '' if it was.
-        self._store_trouble = ""
+        self._store_problem = ""
         #: The time of the last log line about the open ballot.
         self._reported_at = -math.inf
         self._bundles = BundleReceiver(
-            store, verify, lambda: self._activation.kept, self.note, clock.monotonic
+            store, verify, lambda: self._activation.protected_bundles, self.note, clock.monotonic
         )
         runner.attach(self._store_run, self._start_refusal)
         self._missed_end = MissedEnd(runner, probe, clock)
@@ -139,7 +139,7 @@ class Service:
             run,
             state.ballot,
             unfinished[:MAX_UNFINISHED],
-            truncate(self._disk_trouble() or await self._refusal(None)),
+            truncate(self._disk_problem() or await self._refusal(None)),
             self._clock.time(),
         )
 
@@ -165,18 +165,18 @@ class Service:
         finally:
             if self._activation.open_ballot is None:
                 await self._release()
-        found = ballots.answer(self._activation, self._host, ballot.id)
-        reason = found.reasons.get(self._host, "")
+        state = ballots.answer(self._activation, self._host, ballot.id)
+        reason = state.reasons.get(self._host, "")
         self.note(
             messages.VOTED.line(
-                vote=found.votes[self._host],
+                vote=state.votes[self._host],
                 bundle=short_digest(ballot.digest),
                 by=ballot.by,
                 reason=f": {reason}" if reason else "",
             )
         )
-        await self._carry_out(found)
-        return found
+        await self._carry_out(state)
+        return state
 
     async def on_votes(self, id: bytes, votes: Mapping[str, Vote]) -> None:
         """Handle votes of other hosts, from a desk or by requests to them."""
@@ -187,18 +187,18 @@ class Service:
             if before is not None and after is not None and after.outcome != "open":
                 await self._carry_out(after)
 
-    async def _carry_out(self, found: BallotState) -> None:
+    async def _carry_out(self, state: BallotState) -> None:
         """Execute a result: the host of another bundle ends, or a paused one continues."""
-        if found.outcome == "open" or found.ballot is None:
+        if state.outcome == "open" or state.ballot is None:
             return
-        bundle = short_digest(found.ballot.digest)
-        if found.outcome == "activated":
-            hosts = listed(found.ballot.hosts)
+        bundle = short_digest(state.ballot.digest)
+        if state.outcome == "activated":
+            hosts = listed(state.ballot.hosts)
             self.note(messages.ACTIVATED.line(bundle=bundle, hosts=hosts))
             await self._end_other_bundle()
             return
-        reasons = "; ".join(f"{host}: {reason}" for host, reason in found.reasons.items())
-        opponents = listed([host for host, vote in found.votes.items() if vote == "no"])
+        reasons = "; ".join(f"{host}: {reason}" for host, reason in state.reasons.items())
+        opponents = listed([host for host, vote in state.votes.items() if vote == "no"])
         self.note(messages.ABORTED.line(bundle=bundle, reason=reasons or f"vote no of {opponents}"))
         await self._release()
 
@@ -384,15 +384,15 @@ class Service:
         try:
             self._store.save(record)
         except OutputFileError as error:
-            if str(error) != self._store_trouble:
+            if str(error) != self._store_problem:
                 self.note(messages.STATE_ERROR.line(reason=error))
-            self._store_trouble = str(error)
+            self._store_problem = str(error)
             raise
-        self._store_trouble = ""
+        self._store_problem = ""
 
-    def _disk_trouble(self) -> str:
+    def _disk_problem(self) -> str:
         """The reason why no vote can be stored now; '' after success, or when the disk has room again."""
-        if self._store_trouble:
+        if self._store_problem:
             with suppress(OutputFileError):
                 self._store_run()
-        return f"no vote can be stored: {self._store_trouble}; make room" if self._store_trouble else ""
+        return f"no vote can be stored: {self._store_problem}; make room" if self._store_problem else ""

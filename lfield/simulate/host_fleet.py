@@ -51,12 +51,12 @@ PORT = 8181
 INSTRUCTION, TURN = 1e-6, 50e-6
 
 FleetWatcher = Callable[["Fleet"], None]
-OnHostStart = Callable[[str, "HostLife"], None]
+OnHostStart = Callable[[str, "HostRun"], None]
 PlugHardware = Callable[["Fleet", Mission, random.Random], Mission]
 
 
 @dataclass(frozen=True, slots=True)
-class HostLife:
+class HostRun:
     """One incarnation of a host: its process and host object."""
 
     process: SimulatedProcess
@@ -101,7 +101,7 @@ class Fleet:
         mission: Mission,
         seed: int = 0,
         watch: FleetWatcher = lambda fleet: None,
-        on_start: OnHostStart = lambda name, life: None,
+        on_start: OnHostStart = lambda name, run: None,
         plug: PlugHardware | None = None,
         options: FleetOptions | None = None,
     ) -> None:
@@ -132,13 +132,13 @@ class Fleet:
         at_simulation = plugged.at(mission.team.at({name: f"{name}:{PORT}" for name in names}))
         self.mission = at_simulation if self.options.record is None else replayed_form(at_simulation)
         #: Running hosts; exit statuses of those that have exited.
-        self.lives: dict[str, HostLife] = {}
+        self.runs: dict[str, HostRun] = {}
         self.left: dict[str, int] = {}
         #: Hosts that ended by a bug of lfield; hosts whose disk was replaced.
         self.failed: set[str] = set()
         self.replaced: set[str] = set()
         #: Hosts that never return.
-        self.gone: set[str] = set()
+        self.lost_hosts: set[str] = set()
         for name in names:
             with unscanned_heap():
                 self.boot(name)
@@ -177,10 +177,10 @@ class Fleet:
 
         Ignored for a host that is permanently lost.
         """
-        if name in self.gone:
+        if name in self.lost_hosts:
             return
         computer = self.computers[name]
-        if not computer.machine.on:
+        if not computer.machine.is_on:
             computer.power_on()
         process = computer.start()
         process.await_end(partial(self._ended, name, process))
@@ -188,28 +188,27 @@ class Fleet:
 
     def crash(self, name: str) -> None:
         """Kill a host's process, as by SIGKILL."""
-        self.lives[name].process.die(-9)
+        self.runs[name].process.die(-9)
 
     def stop(self, name: str) -> None:
         """Stop a host, as by SIGTERM."""
-        self.lives[name].process.loop.enter(self.lives[name].shutdown_signals.request)
+        self.runs[name].process.loop.enter(self.runs[name].shutdown_signals.request)
 
     def power_off(self, name: str) -> None:
         """Power a host's computer off without notice."""
         self.computers[name].power_off()
-        self.lives.pop(name, None)
+        self.runs.pop(name, None)
 
     def lose(self, name: str) -> None:
         """Lose a host's computer permanently, without notice."""
-        self.gone.add(name)
+        self.lost_hosts.add(name)
         self.power_off(name)
 
     @property
     def pages_left(self) -> list[Record]:
         """The disk contents of hosts that are not permanently lost."""
-        return [
-            record for name, disk in self.disks.items() if name not in self.gone for record in disk.pages()
-        ]
+        disks = [disk for name, disk in self.disks.items() if name not in self.lost_hosts]
+        return [record for disk in disks for record in disk.records()]
 
     def close(self) -> None:
         """End all processes at once, and free their memory."""
@@ -240,7 +239,7 @@ class Fleet:
             rng=random.Random(machine.rng.random()),
             unreachable_after=self.options.unreachable_after,
             journal=journal,
-            first_start=name not in self._known and not disk.pages(),
+            first_start=name not in self._known and not disk.records(),
             random_bytes=random.Random(f"orders {name} {machine.clock.monotonic()}").randbytes,
             record=self.options.record,
         )
@@ -248,36 +247,36 @@ class Fleet:
             self._known.add(name)
         transport = TcpTransport(self.mission.max_block, identify=host_at_address, busy=float)
         host = Host(self._mission_on(name), name, transport, Logbook(log, log), options)
-        life = self.lives[name] = HostLife(process, host, ShutdownSignals(host.clock))
+        run = self.runs[name] = HostRun(process, host, ShutdownSignals(host.clock))
         host.machine.hooks.attach_meter(
             lambda n: process.loop.compute(self.options.slowness * (TURN + n * INSTRUCTION))
         )
-        self._on_start(name, life)
+        self._on_start(name, run)
         # Slightly later: the creator of the fleet has all hosts before any of them acts.
-        process.loop.soon(lambda: process.loop.create_task(self._live(name, life)))
+        process.loop.soon(lambda: process.loop.create_task(self._run_host(name, run)))
 
     def _mission_on(self, host: str) -> Mission:
         """The mission as in the process of a host."""
         found = _mission_of(self.mission, host)
         return found if self.options.record is None else replayed_form(found)
 
-    async def _live(self, name: str, life: HostLife) -> None:
+    async def _run_host(self, name: str, run: HostRun) -> None:
         try:
-            status = await run_until_exit(life.host, life.shutdown_signals, self.options.lost_after)
+            status = await run_until_exit(run.host, run.shutdown_signals, self.options.lost_after)
         except LfieldError as error:
             # Start failed, for instance because a guard died: the service manager retries.
-            life.host.note(log_messages.HOST_ENDING_ERROR.line(host=life.host.name, reason=error))
-            life.process.exit(error.exit_status)
+            run.host.note(log_messages.HOST_ENDING_ERROR.line(host=run.host.name, reason=error))
+            run.process.exit(error.exit_status)
             return
-        if life.host.failure is not None:
+        if run.host.failure is not None:
             self.failed.add(name)
-        if not life.shutdown_signals.first_requested.is_set():
+        if not run.shutdown_signals.first_requested.is_set():
             self.left[name] = status
-        life.process.exit(status)
+        run.process.exit(status)
 
     def _ended(self, name: str, process: SimulatedProcess, _: int) -> None:
-        if name in self.lives and self.lives[name].process is process:
-            del self.lives[name]
+        if name in self.runs and self.runs[name].process is process:
+            del self.runs[name]
 
     def restart_ended(self, only: int | None = None) -> None:
         """Restart hosts that exited by themselves, as an operator does.
@@ -316,7 +315,7 @@ class Fleet:
             for process in list(computer.processes):
                 process.loop.thaw()
         for name in self.computers:
-            if name not in self.lives and name not in self.left:
+            if name not in self.runs and name not in self.left:
                 self.boot(name)
 
 
@@ -387,8 +386,8 @@ class ProcessLog(io.StringIO):
 def copies(fleet: Fleet) -> Mapping[tuple[str, int], list[str]]:
     """The hosts on which each start of each coordinator can run now: agent and generation, host names."""
     found: dict[tuple[str, int], list[str]] = {}
-    for name, life in fleet.lives.items():
-        for agent in life.core.machine.agents.values():
+    for name, run in fleet.runs.items():
+        for agent in run.core.machine.agents.values():
             if agent.member.kind == "coordinator" and not agent.frozen and not agent.ended:
                 found.setdefault((agent.id, agent.generation), []).append(name)
     return found

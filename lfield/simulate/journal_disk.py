@@ -66,11 +66,11 @@ class JournalDisk:
         self.identity = self.identity or self.rng.getrandbits(63)
         return SimulatedJournal(self, self.identity, records, clock)
 
-    def pages(self) -> list[Record]:
+    def records(self) -> list[Record]:
         """The contents of the disk after a crash now."""
         return [decode_record(found) for found in self._entries.values()]
 
-    def trouble(self) -> str:
+    def problem(self) -> str:
         """The problem reported to a host."""
         return "its disk is full" if self.full else ""
 
@@ -109,7 +109,7 @@ class SimulatedJournal(JournalBase):
     ) -> None:
         super().__init__(records, self._commit, clock)
         self._disk, self.identity, self._clock = disk, identity, clock
-        self.problem = disk.trouble()
+        self.problem = disk.problem()
         self._closed = False
 
     def close(self) -> None:
@@ -128,5 +128,5 @@ class SimulatedJournal(JournalBase):
         except JournalError as error:
             self.problem = error.reason
             raise
-        self.problem = self._disk.trouble()
+        self.problem = self._disk.problem()
         await asyncio.sleep(sync - before)

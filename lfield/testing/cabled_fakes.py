@@ -40,7 +40,7 @@ class CabledFake:
         self.serving: ServedFake | None = None
         self.problem = ""
         #: Unexpected exceptions of the device.
-        self.trouble: list[MissionTestError] = []
+        self.failures: list[MissionTestError] = []
         # The random numbers depend on the device's name, so that adding a device does not affect others.
         machine = SimulatedMachine(name, timeline, random.Random(name))
         network.plug_in(machine)
@@ -70,7 +70,7 @@ class CabledFake:
         problem = f"the simulated device of {self.name} has failed: {type(cause).__name__}: {cause}"
         failure = MissionTestError(problem)
         failure.__cause__ = cause
-        self.trouble.append(failure)
+        self.failures.append(failure)
 
 
 K = TypeVar("K")
@@ -80,7 +80,7 @@ def wait_until_serving(fakes: Mapping[K, CabledFake], timeline: EventQueue) -> d
     """Runs until all devices are served. Raises MissionTestError, and an exception of a device."""
     end = timeline.now + READY
     while len(served := {key: fake.serving for key, fake in fakes.items() if fake.serving}) < len(fakes):
-        for error in (error for fake in fakes.values() for error in fake.trouble):
+        for error in (error for fake in fakes.values() for error in fake.failures):
             raise error
         if problems := [fake.problem for fake in fakes.values() if fake.problem]:
             raise MissionTestError("; ".join(problems))

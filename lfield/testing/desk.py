@@ -200,7 +200,7 @@ class Desk:
                 self._timeline.run(POLL_INTERVAL)
         self._end(process)
         broken = tasks[0].exception() if tasks[0].done() else None
-        for error in (*caught, *(trouble for fake in self._fakes for trouble in fake.trouble)):
+        for error in (*caught, *(failure for fake in self._fakes for failure in fake.failures)):
             raise error
         if broken is not None:
             raise broken

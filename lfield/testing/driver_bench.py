@@ -65,25 +65,25 @@ SILENCE = 2.0
 
 
 def bind(
-    plugin: Plugin, device_type: str = "", *, options: Mapping[str, OptionValue] | None = None, **given: Any
+    plugin: Plugin, device_type: str = "", *, options: Mapping[str, OptionValue] | None = None, **fields: Any
 ) -> DeviceBinding:
     """A binding of a plugin's device with the defaults of its manifest.
 
-    `device_type` may be omitted if the plugin has only one. `options` are those set by the test, `given` any
+    `device_type` may be omitted if the plugin has only one. `options` are those set by the test, `fields` any
     other fields of a DeviceBinding. Raises KeyError for an unknown device type.
     """
     manifests = _manifests(plugin)
     manifest = manifests[device_type or next(iter(manifests))]
     defaults = {option.name: option.default for option in manifest.options if option.default is not None}
-    fields: dict[str, Any] = {
+    values: dict[str, Any] = {
         "agent": "bench",
         "field": "device",
         "endpoint": "memory:",
         "safe_state": manifest.default_safe_state,
-        **given,
+        **fields,
     }
     return DeviceBinding(
-        type=manifest.device.type, driver=plugin.name, options={**defaults, **(options or {})}, **fields
+        type=manifest.device.type, driver=plugin.name, options={**defaults, **(options or {})}, **values
     )
 
 

@@ -37,12 +37,12 @@ class Keyring:
         """Issues keys for these hosts, and for this user with all rights; existing keys are kept."""
         for host in hosts:
             if not (self.folder / host).exists():
-                self.put(host, self.made("host", host))
+                self.put(host, self.issue("host", host))
         if not (self.folder / folders.OWN).exists():
-            self.put(folders.OWN, self.made("person", "operator", *ALL_RIGHTS))
+            self.put(folders.OWN, self.issue("person", "operator", *ALL_RIGHTS))
         return self.folder
 
-    def made(self, holder: Holder, name: str, *may: Right, lasts: float = VALIDITY) -> Keys:
+    def issue(self, holder: Holder, name: str, *may: Right, lasts: float = VALIDITY) -> Keys:
         """The keys of a host, or of a person with these rights."""
         now = time.time()
         issued = self._authority.issue(holder, name, may=may, at=now, ends=now + lasts)

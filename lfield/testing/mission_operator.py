@@ -41,9 +41,9 @@ class MissionOperator:
         """Pauses the mission on all hosts that run, or with `lift` resumes it."""
         self._orders += 1
         order = Pause(self._orders.to_bytes(16), lift)
-        for life in self._fleet.lives.values():
-            command = with_epoch(order, life.core.orders.epochs)
-            life.process.loop.enter(partial(life.host.on_message, "", command, cast(Link, OperatorLink())))
+        for run in self._fleet.runs.values():
+            command = with_epoch(order, run.core.orders.epochs)
+            run.process.loop.enter(partial(run.host.on_message, "", command, cast(Link, OperatorLink())))
 
     def type_line(self, host: str, text: object) -> None:
         """Enters a line where a host runs, at the end of the present moment. Raises MissionTestError."""
@@ -58,5 +58,5 @@ class MissionOperator:
         self._fleet.later(0.0, partial(self._enter, host, text))
 
     def _enter(self, host: str, text: str) -> None:
-        if (life := self._fleet.lives.get(host)) is not None:
-            life.process.loop.enter(partial(life.host.dispatch, LineEntered(text)))
+        if (run := self._fleet.runs.get(host)) is not None:
+            run.process.loop.enter(partial(run.host.dispatch, LineEntered(text)))

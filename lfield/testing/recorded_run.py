@@ -34,7 +34,7 @@ def record_mission(
     """
     mission = load_mission(path, simulate=True)
     memory = RecordingMemory()
-    fakes = MissionFakes({}, lambda *what: None)
+    fakes = MissionFakes({}, lambda *arguments: None)
     options = FleetOptions(
         mission.bindings.unreachable_after, SETTLE_TIME, time_of_day=DAY[0], clock_drift=0.0, record=memory
     )
@@ -58,8 +58,8 @@ def recordings_in(memory: RecordingMemory) -> list[HostRecording]:
 
 def _run(fleet: Fleet, fakes: MissionFakes, seconds: float, on_progress: Callable[[float], None]) -> None:
     """Runs until all hosts have ended, and raises an exception of a simulated device."""
-    while fleet.now < seconds and (fleet.lives or not fleet.left):
+    while fleet.now < seconds and (fleet.runs or not fleet.left):
         fleet.run(min(1.0, seconds - fleet.now))
-        for failure in fakes.trouble:
+        for failure in fakes.failures:
             raise failure
         on_progress(fleet.now)

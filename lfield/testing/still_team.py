@@ -10,7 +10,7 @@ from lfield.capability.model import Registry, Value
 from lfield.capability.offer import Candidate, Fact, Position
 from lfield.host.offer_queries import MatchResults
 from lfield.vm.agent import TeamMember
-from lfield.vm.offer_objects import ways
+from lfield.vm.offer_objects import realisations
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class StillTeam:
         """The agents of a resource type, in the order of the deployment."""
         return [self._candidate(m) for m in self.members if m.type == resource]
 
-    def here(self) -> Position | None:
+    def location(self) -> Position | None:
         """None: no agent has a position."""
         return None
 
@@ -36,4 +36,4 @@ class StillTeam:
 def still_answers(registry: Registry, program: Program, members: Sequence[TeamMember]) -> MatchResults:
     """The match results of a host in a constant team."""
     numbers = {member.id: member.number for member in members}
-    return MatchResults(registry, StillTeam(members, registry.agents), ways(program), numbers)
+    return MatchResults(registry, StillTeam(members, registry.agents), realisations(program), numbers)

@@ -77,20 +77,20 @@ def resolve_own_links(path: Path) -> Path:
 
     Raises OutputFileError for a link of another user anywhere on the path.
     """
-    found, parts = Path(path.anchor), list(reversed(path.parts[1:]))
+    resolved, parts = Path(path.anchor), list(reversed(path.parts[1:]))
     for _ in range(_MAX_LINKS):
         if not parts:
-            return found
+            return resolved
         part = parts.pop()
         if part == "..":
-            found = found.parent
+            resolved = resolved.parent
             continue
-        target = _target(found / part)
+        target = _target(resolved / part)
         if not target:
-            found = found / part
+            resolved = resolved / part
         else:
             link = Path(target)
-            found = Path(link.anchor) if link.is_absolute() else found
+            resolved = Path(link.anchor) if link.is_absolute() else resolved
             parts += reversed(link.parts[1:] if link.is_absolute() else link.parts)
     raise OutputFileError(str(path), "there are too many symbolic links on the way")
 

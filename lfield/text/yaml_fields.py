@@ -20,7 +20,7 @@ class YamlFields:
     """
 
     def __init__(self, node: YamlNode, found: Diagnostics, subject: str) -> None:
-        self.span, self.what, self._found = node.span, subject, found
+        self.span, self.subject, self._found = node.span, subject, found
         self._known: set[str] = set()
         self._entries = node.entries if isinstance(node, YamlMapping) else {}
         # An empty section (`devices:` without contents) is read as an empty mapping.
@@ -42,7 +42,7 @@ class YamlFields:
         if key in self._entries:
             return self._entries[key].value
         if required:
-            self.report("Y110", f"{self.what} needs '{key}'", self.span)
+            self.report("Y110", f"{self.subject} needs '{key}'", self.span)
         return None
 
     def text(
@@ -209,7 +209,7 @@ class YamlFields:
             if entry.key not in self._known:
                 hint = _did_you_mean(entry.key, sorted(self._known))
                 hint = hint or (f"known keys: {', '.join(sorted(self._known))}" if self._known else "")
-                self.report("Y111", f"{self.what} has no key '{entry.key}'", entry.key_span, hint)
+                self.report("Y111", f"{self.subject} has no key '{entry.key}'", entry.key_span, hint)
 
     def _report_type(self, key: str, expected: str, node: YamlNode) -> None:
         self.report("Y112", f"'{key}' must be {expected}, not {describe(node)}", node.span)

@@ -144,23 +144,23 @@ def _parse_fast(source: Source) -> YamlNode | None:
         return None
 
 
-def _parse(source: Source, found: Diagnostics) -> YamlNode | None:
+def _parse(source: Source, diagnostics: Diagnostics) -> YamlNode | None:
     try:
         return _Parser(source, yaml.SafeLoader).document()
     except _ParseError as refused:
-        found.add(refused.diagnostic)
+        diagnostics.add(refused.diagnostic)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         start = min(mark.index, len(source.text)) if mark is not None else 0
-        found.add(_syntax_error(source, start, error))
+        diagnostics.add(_syntax_error(source, start, error))
     except yaml.reader.ReaderError as error:
         sentence = f"the character U+{ord(source.text[error.position]):04X} is not allowed in YAML"
-        found.add(Diagnostic("Y101", sentence, _at(source, error.position), "remove this character"))
+        diagnostics.add(Diagnostic("Y101", sentence, _at(source, error.position), "remove this character"))
     except (ValueError, OverflowError):
         # PyYAML passes an escape such as "\UFFFFFFFF" to chr() unchecked.
         escape = next((m for m in _LONG_ESCAPE.finditer(source.text) if int(m[1], 16) > sys.maxunicode), None)
         span = _at(source, 0) if escape is None else Span(source, *escape.span())
-        found.add(Diagnostic("Y101", "this escape is not a character", span, _ESCAPES))
+        diagnostics.add(Diagnostic("Y101", "this escape is not a character", span, _ESCAPES))
     return None
 
 

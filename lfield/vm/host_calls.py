@@ -31,7 +31,13 @@ from lfield.vm.memory.word_codec import (
     real_from_bits,
     real_text,
 )
-from lfield.vm.offer_objects import OfferClasses, SearchIncomplete, UnknownWay, write_offers, write_teams
+from lfield.vm.offer_objects import (
+    OfferClasses,
+    SearchIncomplete,
+    UnknownRealisation,
+    write_offers,
+    write_teams,
+)
 from lfield.vm.reservations.held_reservations import HeldReservations
 from lfield.vm.scheduler import Scheduler
 
@@ -296,7 +302,7 @@ class HostCallDispatcher:
         """Errors of a capability query, as L exceptions."""
         try:
             yield
-        except (ConstraintError, UnknownWay) as error:
+        except (ConstraintError, UnknownRealisation) as error:
             self._scheduler.throw_builtin(agent, thread, "ConstraintException", str(error), capability)
         except SearchIncomplete as error:
             self._scheduler.throw_builtin(agent, thread, "LimitException", str(error), capability)

@@ -180,7 +180,7 @@ class HostInterface(Protocol):
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[FoundOffer]:
         """The present offers of a capability that fulfil the condition, best first.
 
-        Only realisations with which the program was built are used (`offer_objects.ways`). Raises
+        Only realisations with which the program was built are used (`offer_objects.realisations`). Raises
         ConstraintError, and SearchIncomplete if no offer was found and the search was not exhaustive.
         """
 

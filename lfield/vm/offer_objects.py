@@ -22,14 +22,14 @@ from lfield.vm.memory.layout import header
 class FoundOffer(Struct, frozen=True):
     """One present offer.
 
-    `way` is the field of the capability's class for its realisation. A direct offer is a proxy for the agent
-    number `member`; otherwise `parts` are the offers by field. `kind` is the name of the realisation.
+    `realisation` is the field of the capability's class. A direct offer is a proxy for the agent number
+    `member`; otherwise `parts` are the offers by field. `kind` is the name of the realisation.
     Attributes have a name, a number (NaN for none), a text (None: show the number), an age in seconds (NaN:
     constant) and a source; the five sequences have equal lengths. `found` is the number of offers (0 for a
     component), and `note` describes omitted data.
     """
 
-    way: str
+    realisation: str
     agent: str
     host: str
     kind: str
@@ -49,7 +49,7 @@ class SearchIncomplete(Exception):
     """No offer was found, and the search was not exhaustive; the message has the reason."""
 
 
-class UnknownWay(Exception):
+class UnknownRealisation(Exception):
     """An offer by a realisation that is not in the program; the message names it."""
 
 
@@ -65,26 +65,26 @@ class OfferClass:
         self.name, self.index = record.name, index
         self.fields = [f.name for f in record.fields[1:]]
         kinds = [core.types[f.type] for f in record.fields[1:]]
-        self._ways = {name: (kind.kind, kind.of) for name, kind in zip(self.fields, kinds, strict=True)}
+        self._fields = {name: (kind.kind, kind.of) for name, kind in zip(self.fields, kinds, strict=True)}
         self._parts = {kind.of for kind in kinds if kind.kind == OBJECT and core.classes[kind.of].capability}
 
-    def proxy(self, way: str) -> int:
+    def proxy(self, realisation: str) -> int:
         """The resource type of a field that holds a proxy. Raises UnknownWay."""
-        kind, target = self._ways.get(way, (OBJECT, -1))
+        kind, target = self._fields.get(realisation, (OBJECT, -1))
         if kind != PROXY:
-            raise self._unknown(way)
+            raise self._unknown(realisation)
         return target
 
-    def part(self, way: str) -> int:
+    def part(self, realisation: str) -> int:
         """The capability of a field that holds another offer. Raises UnknownWay."""
-        kind, target = self._ways.get(way, (PROXY, -1))
+        kind, target = self._fields.get(realisation, (PROXY, -1))
         if kind != OBJECT or target not in self._parts:
-            raise self._unknown(way)
+            raise self._unknown(realisation)
         return target
 
-    def _unknown(self, way: str) -> UnknownWay:
-        return UnknownWay(
-            f"the program has no realisation '{way}' of {self.name}: "
+    def _unknown(self, realisation: str) -> UnknownRealisation:
+        return UnknownRealisation(
+            f"the program has no realisation '{realisation}' of {self.name}: "
             "build it again with the registry that the hosts have"
         )
 
@@ -95,7 +95,7 @@ class OfferClasses:
     def __init__(self, program: Program) -> None:
         core = program.core
         kinds = {record: i for i, record in enumerate(core.types)}
-        self.of: dict[int, OfferClass] = {}
+        self.by_class: dict[int, OfferClass] = {}
         created = core.created_arrays()
         self._plain = [core.plain_array(i) for i in range(len(core.types))]
         #: The type of an array of offers, and of an array of such arrays, if the program has them.
@@ -104,7 +104,7 @@ class OfferClasses:
         for index, record in enumerate(core.classes):
             if not record.capability:
                 continue
-            self.of[index] = OfferClass(program, index)
+            self.by_class[index] = OfferClass(program, index)
             array = created.get(kinds.get(TypeRecord(OBJECT, index), -1))
             if array is not None:
                 self.arrays[index] = array
@@ -120,7 +120,7 @@ class OfferClasses:
         return self._plain[kind]
 
 
-def ways(program: Program) -> dict[str, frozenset[str]]:
+def realisations(program: Program) -> dict[str, frozenset[str]]:
     """The capabilities in a program, each with its realisations."""
     return {
         record.name: frozenset(f.name for f in record.fields if f.name != FACTS)
@@ -171,17 +171,22 @@ class _Writer:
 
     def offers(self, capability: int, found: Sequence[FoundOffer]) -> int:
         """An array of offers; returns its place."""
-        offers = [self.offer(self._shapes.of[capability], offer) for offer in found]
+        offers = [self.offer(self._shapes.by_class[capability], offer) for offer in found]
         return self.array(self._shapes.arrays[capability], offers)
 
     def offer(self, shape: OfferClass, found: FoundOffer) -> int:
         """An offer with its components; returns its place."""
         if found.parts:
-            classes = self._shapes.of
-            filled = {way: self.offer(classes[shape.part(way)], part) for way, part in found.parts.items()}
+            classes = self._shapes.by_class
+            filled = {
+                realisation: self.offer(classes[shape.part(realisation)], part)
+                for realisation, part in found.parts.items()
+            }
         else:
-            filled = {found.way: self.put(layout.PROXY, shape.proxy(found.way), [found.member, 0])}
-        own = [self._facts(found), *(filled.get(way, 0) for way in shape.fields)]
+            filled = {
+                found.realisation: self.put(layout.PROXY, shape.proxy(found.realisation), [found.member, 0])
+            }
+        own = [self._facts(found), *(filled.get(name, 0) for name in shape.fields)]
         return self.put(layout.OBJECT, shape.index, own)
 
     def put(self, kind: int, index: int, body: Iterable[int]) -> int:

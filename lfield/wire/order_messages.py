@@ -167,7 +167,7 @@ class OrderDenied(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     """The order is not executed: its signer does not have the permission, or the certificate is not valid."""
 
     id: OrderId
-    why: Sentence
+    reason: Sentence
     attempt: Attempt = 0
     held: Held = 0
 
@@ -237,13 +237,13 @@ def short_reason(reason: str) -> str:
     return reason.encode("utf-8", "replace")[:MAX_REASON].decode("utf-8", "ignore")
 
 
-def order_confirmation(id: bytes, epochs: Epochs, devices: Mapping[str, str], trouble: str) -> OrderConfirmed:
+def order_confirmation(id: bytes, epochs: Epochs, devices: Mapping[str, str], problem: str) -> OrderConfirmed:
     """A confirmation with the contents of an `EmergencyStopResult`: as many devices as fit, unsafe ones
     first."""
     safe: list[str] = []
     unsafe: dict[str, str] = {}
-    trouble = truncate(trouble, MAX_SENTENCE)
-    free_bytes = _DEVICE_BYTES - len(_encode(trouble))
+    problem = truncate(problem, MAX_SENTENCE)
+    free_bytes = _DEVICE_BYTES - len(_encode(problem))
     for name, reason in sorted(devices.items(), key=lambda device: not device[1]):
         reason = truncate(reason, MAX_SENTENCE)
         free_bytes -= len(_encode(name)) + (len(_encode(reason)) if reason else 0)
@@ -254,7 +254,7 @@ def order_confirmation(id: bytes, epochs: Epochs, devices: Mapping[str, str], tr
         else:
             safe.append(name)
     more = len(devices) - len(safe) - len(unsafe)
-    return OrderConfirmed(id, epochs, tuple(safe), unsafe, trouble, more)
+    return OrderConfirmed(id, epochs, tuple(safe), unsafe, problem, more)
 
 
 def numbered_answer(answer: OrderAnswer, attempt: int, held: float) -> OrderAnswer:

@@ -1,5 +1,6 @@
-"""Faults of a simulated device by name: definitions and present values, for all or one device, changed at
-runtime.
+"""Faults of a simulated device by name: definitions and present values, for all devices or one.
+
+The values can be changed at runtime:
 
 loss=0.1               a share, for every device of the simulated device
 dead@3=true            of device 3 only
@@ -56,57 +57,60 @@ def share(name: str, meaning: str) -> Fault:
 class Faults:
     """The faults of a fake. `devices` are their ids, with the names of their bindings."""
 
-    def __init__(self, known: Iterable[Fault], devices: Mapping[str, str] | Iterable[str] = ()) -> None:
-        self._known = {fault.name: fault for fault in known}
+    def __init__(self, definitions: Iterable[Fault], devices: Mapping[str, str] | Iterable[str] = ()) -> None:
+        self._definitions = {fault.name: fault for fault in definitions}
         self._names = dict(devices) if isinstance(devices, Mapping) else dict.fromkeys(devices, "")
-        self._set: dict[tuple[str, str], FaultValue] = {}
+        self._values: dict[tuple[str, str], FaultValue] = {}
         self._watchers: list[Callable[[], None]] = []
 
-    def watch(self, changed: Callable[[], None]) -> None:
-        """Calls `changed` after every change."""
-        self._watchers.append(changed)
+    def watch(self, on_change: Callable[[], None]) -> None:
+        """Calls `on_change` after every change."""
+        self._watchers.append(on_change)
 
     def get(self, name: str, device: object = "") -> Any:
         """The value of a fault for a device (by its id), or for the whole simulated device."""
-        if not self._set:
-            return self._known[name].default
-        own = self._set.get((name, str(device)))
-        return self._set.get((name, ""), self._known[name].default) if own is None else own
+        if not self._values:
+            return self._definitions[name].default
+        own = self._values.get((name, str(device)))
+        return self._values.get((name, ""), self._definitions[name].default) if own is None else own
 
     def apply(self, texts: Iterable[str]) -> None:
         """Sets `NAME[@DEVICE]=VALUE`, all or none. Raises ValueError."""
         parsed = [self._parse(text) for text in texts]
-        self._set.update(parsed)
-        for changed in self._watchers:
-            changed()
+        self._values.update(parsed)
+        for on_change in self._watchers:
+            on_change()
 
     def _parse(self, text: str) -> tuple[tuple[str, str], FaultValue]:
         target, equals, value = text.partition("=")
         name, at, device = target.partition("@")
         if not equals:
             raise ValueError(f"'{text}' is not a fault; write NAME=VALUE or NAME@DEVICE=VALUE")
-        if name not in self._known:
-            raise ValueError(f"there is no fault '{name}'; there are: {', '.join(sorted(self._known))}")
-        fault, target = self._known[name], self._device(device) if at else ""
+        if name not in self._definitions:
+            raise ValueError(f"there is no fault '{name}'; there are: {', '.join(sorted(self._definitions))}")
+        fault, target = self._definitions[name], self._device(device) if at else ""
         return (name, "" if fault.whole else target), fault.parse(value)
 
     def _device(self, name: str) -> str:
         if name in self._names:
             return name
-        for device, called in self._names.items():
-            if called == name:
+        for device, name_of_binding in self._names.items():
+            if name_of_binding == name:
                 return device
-        known = ", ".join(
-            f"{device} ({called})" if called else device for device, called in self._names.items()
+        definitions = ", ".join(
+            f"{device} ({name_of_binding})" if name_of_binding else device
+            for device, name_of_binding in self._names.items()
         )
-        raise ValueError(f"there is no device '{name}'; there are: {known or 'none with names'}")
+        raise ValueError(f"there is no device '{name}'; there are: {definitions or 'none with names'}")
 
     def described(self) -> dict[str, str]:
         """Every fault with its present value and meaning."""
         lines = {}
-        for fault in self._known.values():
+        for fault in self._definitions.values():
             values = [f"{_text(self.get(fault.name))}"]
-            values += [f"@{d}={_text(v)}" for (name, d), v in self._set.items() if name == fault.name and d]
+            values += [
+                f"@{d}={_text(v)}" for (name, d), v in self._values.items() if name == fault.name and d
+            ]
             lines[fault.name] = f"{' '.join(values)}  ({fault.meaning})"
         return lines
 

@@ -34,7 +34,7 @@ class StateLog:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._devices, self._clock = devices, clock
-        self._known: dict[tuple[str, str], str] = {}
+        self._written: dict[tuple[str, str], str] = {}
         try:
             # Unbuffered, so that no line is lost however the simulated device ends.
             self._file = open(path, "wb", buffering=0) if path else None  # noqa: SIM115
@@ -51,12 +51,12 @@ class StateLog:
             for id, read_state in self._devices.items()
             for name, value in read_state().items()
         }
-        changed = [fact for fact, value in values.items() if self._known.get(fact) != value]
+        changed = [fact for fact, value in values.items() if self._written.get(fact) != value]
         if changed:
             now = self._clock()
             lines = "".join(f"{now:.6f} {id} {name}={values[id, name]}\n" for id, name in changed)
             self._file.write(lines.encode())
-            self._known.update(values)
+            self._written.update(values)
 
     def close(self) -> None:
         """Closes the log."""

@@ -28,8 +28,8 @@ Received = Callable[[bytes, int | None], None]
 class Terminal:
     """A serial port at `path`; available from `plug` to `unplug`."""
 
-    def __init__(self, path: Path, received: Received) -> None:
-        self._path, self._received = path, received
+    def __init__(self, path: Path, on_received: Received) -> None:
+        self._path, self._on_received = path, on_received
         self._loop = asyncio.get_running_loop()
         self._ends: tuple[int, int] | None = None
         self._simulated: SerialLineEnd | None = None
@@ -45,7 +45,7 @@ class Terminal:
             return
         if isinstance(self._loop, SimulatedLoop):
             try:
-                self._simulated = self._loop.plug_serial(str(self._path), self._received)
+                self._simulated = self._loop.plug_serial(str(self._path), self._on_received)
             except OSError as error:
                 raise AddressError(str(self._path), error.strerror or str(error)) from None
             return
@@ -57,10 +57,10 @@ class Terminal:
         tty.setraw(slave)
         os.set_blocking(master, False)
         try:
-            fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-            fresh.unlink(missing_ok=True)
-            fresh.symlink_to(os.ttyname(slave))
-            fresh.replace(self._path)
+            new_link = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+            new_link.unlink(missing_ok=True)
+            new_link.symlink_to(os.ttyname(slave))
+            new_link.replace(self._path)
         except OSError as error:
             self.unplug()
             raise AddressError(str(self._path), error.strerror or str(error)) from None
@@ -98,7 +98,7 @@ class Terminal:
             data = os.read(self._ends[0], 4096)
         except BlockingIOError:
             return
-        self._received(data, _speed(self._ends[1]))
+        self._on_received(data, _speed(self._ends[1]))
 
 
 def _speed(terminal: int) -> int | None:

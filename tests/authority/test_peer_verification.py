@@ -52,7 +52,7 @@ def test_expired_peer_may_finish_an_active_mission(
 ) -> None:
     found = verify_peer(who, at=2000.0, authority=OURS, known=known, is_mission_active=is_active)
     assert found.extent == extent
-    assert found.why == (
+    assert found.reason == (
         f"the certificate of {who} expired 1970-01-01 00:33 UTC, and the clock here shows 1970-01-01: "
         f"set the clock if it is wrong, else renew it with 'lfield keys renew {who.kind} {who.name}'"
     )
@@ -69,14 +69,14 @@ def test_revoked_host_keeps_only_its_link_during_a_mission(
         who, at=1500.0, authority=OURS, revoked=LISTED, known=known, is_mission_active=is_active
     )
     assert found.extent == ("finish" if (kind, known, is_active) == ("host", "linked", True) else "nothing")
-    assert f"the keys of {who} are revoked (list 3)" in found.why
+    assert f"the keys of {who} are revoked (list 3)" in found.reason
     assert extent_of(replace(who, serial="c1"), revoked=LISTED) == "all"
 
 
 def test_certificate_of_the_future_suggests_setting_the_clock() -> None:
     found = verify_peer(BRAVO, at=999.0, authority=OURS, known="linked", is_mission_active=True)
     assert found.extent == "nothing"
-    assert "set the clock" in found.why
+    assert "set the clock" in found.reason
 
 
 def test_anonymous_and_foreign_peers_are_refused() -> None:
@@ -85,7 +85,7 @@ def test_anonymous_and_foreign_peers_are_refused() -> None:
         replace(BRAVO, authority=THEIRS), at=1500.0, authority=OURS, known="linked", is_mission_active=True
     )
     assert found.extent == "nothing"
-    assert f"is of the authority {THEIRS[:12]}, and ours is {OURS[:12]}" in found.why
+    assert f"is of the authority {THEIRS[:12]}, and ours is {OURS[:12]}" in found.reason
 
 
 def test_answer_of_another_host_is_refused() -> None:
@@ -126,16 +126,16 @@ def test_only_persons_with_the_command_right_may_sign() -> None:
 
 def test_signature_outside_the_validity_period_is_refused() -> None:
     for signed in (999.0, 2000.0):
-        assert "was not valid" in signer(signed=signed, runs=True).why
+        assert "was not valid" in signer(signed=signed, runs=True).reason
 
 
 def test_running_bundle_continues_after_its_signer_expires() -> None:
     for options in ({"at": 2000.0}, {"revoked": LISTED}):
         found = signer(**options)
         assert found.extent == "nothing"
-        assert "sign it again with 'lfield sign'" in found.why
+        assert "sign it again with 'lfield sign'" in found.reason
         running = signer(**options, runs=True)
-        assert (running.extent, running.why) == ("all", found.why)
+        assert (running.extent, running.reason) == ("all", found.reason)
 
 
 def test_times_are_formatted_in_utc() -> None:

@@ -227,7 +227,7 @@ def decode_in_host(data: bytes) -> None:
                 called = True
                 for instruction, arguments in ((0, [1.0]), (3, []), (2, [[1.0, 2.0]])):
                     guard.call("a.x", THING.instructions[instruction], arguments, lambda value: None)
-            guard.trouble("a.x"), guard.snapshots.telemetry, guard.snapshots.describe("a.x")
+            guard.unavailability("a.x"), guard.snapshots.telemetry, guard.snapshots.describe("a.x")
             for quantity in THING.telemetry:
                 if guard.snapshots.last("a.x", quantity.name) is not None:
                     guard.snapshots.reading("a.x", quantity.name)

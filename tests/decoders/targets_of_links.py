@@ -66,7 +66,7 @@ class NoObservations:
     def last(self, device: str, quantity: str) -> None:
         """Return None: there is no telemetry."""
 
-    def trouble(self, device: str) -> None:
+    def unavailability(self, device: str) -> None:
         """Return None: there is no device."""
 
 

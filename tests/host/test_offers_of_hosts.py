@@ -51,7 +51,7 @@ class Devices:
         guards = running.host.guards
         guards.open = self.open
         guards.last = self.last
-        guards.trouble = self.troubles.get
+        guards.unavailability = self.troubles.get
 
     async def open(self, devices, recording):
         pass

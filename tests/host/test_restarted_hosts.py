@@ -236,7 +236,7 @@ async def test_the_result_is_written_before_the_journal_ends_the_run(team, /):
     found = []
 
     def is_open() -> list[bool]:
-        return [page.open for page in team.disks["home"].pages() if isinstance(page, RunMarker)]
+        return [page.open for page in team.disks["home"].records() if isinstance(page, RunMarker)]
 
     def ended(status: int) -> None:
         found.append((status, is_open()))

@@ -42,7 +42,7 @@ class Guards:
         value, age = self.values[device, quantity]
         return Observation(value, self.clock.now - age)
 
-    def trouble(self, device):
+    def unavailability(self, device):
         return self.troubles.get(device)
 
 
@@ -178,17 +178,17 @@ def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
             JitterMonitor(JitterLimit(0.2)),
             lambda: True,
         )
-        assert guard.trouble("sky.fc") == Unavailability("fc: its guard has died and is restarting")
+        assert guard.unavailability("sky.fc") == Unavailability("fc: its guard has died and is restarting")
         guard._ready = True
-        assert guard.trouble("sky.fc") is None
+        assert guard.unavailability("sky.fc") is None
         guard._receive(Latched("sky.fc", "the host was silent for over 200 ms", True))
-        assert guard.trouble("sky.fc") == Unavailability(
+        assert guard.unavailability("sky.fc") == Unavailability(
             "fc: in its safe state land: the host was silent for over 200 ms"
         )
         guard.latched_devices.latched.clear()
         guard.snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {}, clock.now))
         clock.advance(1000.0)
-        trouble = guard.trouble("sky.fc")
+        trouble = guard.unavailability("sky.fc")
         assert trouble.sentence(clock.now) == "fc: no message for 1000 s"
 
     asyncio.run(story())

@@ -205,7 +205,7 @@ async def test_after_a_reset_the_coordinator_starts_again_and_the_old_start_is_k
     await away.host.stop()
     # The holder discards its copy, then the home starts again.
     disk = team.disks["away"].open(LoopClock(), print)
-    await disk.persist(plan_reset("away", disk.records(), {}).pages)
+    await disk.persist(plan_reset("away", disk.records(), {}).records)
     (again,) = await team.up(mission, "away", keeps=True)
     assert again.output == []
     assert await team.ended("guest") == "lost"
@@ -213,7 +213,7 @@ async def test_after_a_reset_the_coordinator_starts_again_and_the_old_start_is_k
     disk = team.disks["home"].open(LoopClock(), print)
     found = plan_reset("home", disk.records(), states_of({"away": again.host.status()}))
     assert (found.departed, found.discarded) == ([], [])
-    await disk.persist(found.pages)
+    await disk.persist(found.records)
     (home,) = await team.up(mission, "home", keeps=True)
     await team.until(lambda: again.output == ["arrived"])
     assert start_of(home) == start_of(again) == 2

@@ -37,8 +37,8 @@ ONE, TWO = run("tour-00000001", "alpha", "bravo"), run("tour-00000002", "alpha",
 OTHER = run("sow-00000003", "alpha", team=team_of(ROWS[:1], {"Post": "resource"}, {}))
 
 
-def asked(parties):
-    return {party.id: dict(party.addresses) for party in parties}
+def asked(targets):
+    return {target.id: dict(target.addresses) for target in targets}
 
 
 def test_hosts_that_run_here_are_asked_at_their_sockets():
@@ -51,15 +51,15 @@ def test_hosts_that_run_here_are_asked_at_their_sockets():
 
 
 def test_two_runs_of_one_mission_are_both_asked():
-    parties = targets_of_team(TEAM, [ONE, TWO, OTHER], [])
-    assert [party.id for party in parties] == [ONE.id, TWO.id]
-    assert list(display_names(parties).values()) == [
+    targets = targets_of_team(TEAM, [ONE, TWO, OTHER], [])
+    assert [target.id for target in targets] == [ONE.id, TWO.id]
+    assert list(display_names(targets).values()) == [
         "tour-00000001/alpha",
         "tour-00000001/bravo",
         "tour-00000002/alpha",
         "tour-00000002/bravo",
     ]
-    assert list(display_names(parties[:1]).values()) == ["alpha", "bravo"]
+    assert list(display_names(targets[:1]).values()) == ["alpha", "bravo"]
 
 
 def test_remote_hosts_are_asked_at_the_addresses_of_the_run():
@@ -70,13 +70,13 @@ def test_remote_hosts_are_asked_at_the_addresses_of_the_run():
 def test_runs_of_single_hosts_of_a_mission_are_one_team():
     """Two services on one computer: each has the address of the other, which is used once."""
     bravo, alpha = run("tour-00000002", "bravo"), run("tour-00000001", "alpha")
-    (party,) = targets_of_runs([bravo, alpha])
-    assert party.runs == (bravo, alpha)
-    assert dict(party.addresses) == {
+    (target,) = targets_of_runs([bravo, alpha])
+    assert target.runs == (bravo, alpha)
+    assert dict(target.addresses) == {
         "alpha": "unix:/run/tour-00000001/alpha.sock",
         "bravo": "unix:/run/tour-00000002/bravo.sock",
     }
-    assert list(party.addresses) == ["alpha", "bravo"]
+    assert list(target.addresses) == ["alpha", "bravo"]
 
 
 def test_a_remote_host_with_the_name_of_a_local_one_is_asked_too():
@@ -90,15 +90,15 @@ def test_a_remote_host_with_the_name_of_a_local_one_is_asked_too():
 
 def test_a_remote_host_that_two_runs_know_is_asked_once():
     team = team_of([*ROWS, ("Post", "last", "carol", ())], {"Post": "resource"}, {})
-    (party,) = targets_of_runs(
+    (target,) = targets_of_runs(
         [run("tour-00000001", "alpha", team=team), run("tour-00000002", "bravo", team=team)]
     )
-    assert list(party.addresses) == ["alpha", "bravo", "carol"]
-    assert party.addresses["carol"] == "carol:8181"
+    assert list(target.addresses) == ["alpha", "bravo", "carol"]
+    assert target.addresses["carol"] == "carol:8181"
 
 
 def test_runs_of_other_missions_are_teams_of_their_own():
-    assert [party.id for party in targets_of_runs([ONE, OTHER])] == [ONE.id, OTHER.id]
+    assert [target.id for target in targets_of_runs([ONE, OTHER])] == [ONE.id, OTHER.id]
 
 
 def test_a_map_option_overrides_the_sockets():
@@ -172,10 +172,10 @@ def test_a_claimed_run_does_not_replace_hosts_of_a_named_mission():
 
 def test_a_claimed_run_with_the_same_id_keeps_its_own_answers():
     own, same = run("tour-00000001", "alpha", "bravo"), claimed("tour-00000001", "alpha", "bravo")
-    parties = targets_of_runs([same, own])
-    places = [place for party in parties for place in party.host_refs]
+    targets = targets_of_runs([same, own])
+    places = [place for target in targets for place in target.host_refs]
     assert len(set(places)) == 4
-    assert [party.id for party in parties] == ["tour-00000001", "mallory/tour-00000001"]
+    assert [target.id for target in targets] == ["tour-00000001", "mallory/tour-00000001"]
     assert [place.user for place in places] == ["", "", "mallory", "mallory"]
     assert select_runs([same, own], "00000001") == select_runs([same, own], own.id) == [own]
 
@@ -189,16 +189,16 @@ def test_remote_addresses_of_a_run_are_not_asked_for_another_user():
 
 def test_runs_of_one_other_user_are_one_team_and_of_two_users_are_two():
     first, second = claimed("tour-00000001", "alpha"), claimed("tour-00000002", "bravo")
-    assert [party.runs for party in targets_of_runs([first, second])] == [(first, second)]
+    assert [target.runs for target in targets_of_runs([first, second])] == [(first, second)]
     third = claimed("tour-00000002", "bravo", user="bob")
-    assert [party.user for party in targets_of_runs([first, third])] == ["mallory", "bob"]
+    assert [target.user for target in targets_of_runs([first, third])] == ["mallory", "bob"]
 
 
 def test_a_run_of_another_user_is_trusted_if_it_is_named():
     false = claimed("tour-00000002", "alpha", "bravo")
     (named,) = select_runs([ONE, false], "mallory/tour-00000002")
     assert (named.id, named.user) == ("mallory/tour-00000002", "")
-    assert [party.user for party in targets_of_team(TEAM, [named], [])] == [""]
+    assert [target.user for target in targets_of_team(TEAM, [named], [])] == [""]
 
 
 def test_the_own_team_is_selected_despite_claims_of_other_users():
@@ -221,8 +221,8 @@ NAMES_BY_ADDRESS = [
 def test_hosts_of_a_team_that_run_here_singly_are_one_team(of_one, of_other):
     """Each run has another address of the other's host, as in `--map bravo=localhost:9`."""
     one, other = run("tour-00000001", "alpha", **of_one), run("tour-00000002", "bravo", **of_other)
-    party = single_target(targets_of_runs([one, other]))
-    assert party.addresses == {
+    target = single_target(targets_of_runs([one, other]))
+    assert target.addresses == {
         "alpha": "unix:/run/tour-00000001/alpha.sock",
         "bravo": "unix:/run/tour-00000002/bravo.sock",
     }
@@ -247,5 +247,5 @@ def test_a_file_that_another_user_names_is_not_opened(tmp_path):
 
 
 def test_host_names_are_escaped_for_the_terminal():
-    (party,) = targets_of_runs([run("tour-00000001", "a\x1b[31m", **{"a\x1b[31m": "10.0.0.1:1"})])
-    assert "a\\u{1b}[31m" in display_names([party]).values()
+    (target,) = targets_of_runs([run("tour-00000001", "a\x1b[31m", **{"a\x1b[31m": "10.0.0.1:1"})])
+    assert "a\\u{1b}[31m" in display_names([target]).values()

@@ -83,9 +83,9 @@ def asked(
         transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / own, "host")))
         door = f"unix:{ring.folder}/door"
         listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", door)]
-        party = TargetTeam((), {"alpha": listeners[0].address, "here": door})
+        target = TargetTeam((), {"alpha": listeners[0].address, "here": door})
         try:
-            answers = await asyncio.to_thread(client.ask_teams, [party], request, keys)
+            answers = await asyncio.to_thread(client.ask_teams, [target], request, keys)
         finally:
             for listener in listeners:
                 listener.close()
@@ -113,7 +113,7 @@ def test_missing_keys_do_not_prevent_a_stop_on_this_computer(ring):
     over_tcp, here = asked(ring, client.emergency_stop("fire"), keys=ring.folder / "nowhere")
     assert "has no keys of a person" in str(over_tcp)
     assert here == EmergencyStopResult({})
-    ring.put("me", replace(ring.made("person", "anna"), key=b"nothing"))
+    ring.put("me", replace(ring.issue("person", "anna"), key=b"nothing"))
     assert "the keys are damaged" in str(asked(ring, keys=ring.folder)[0])
 
 
@@ -136,13 +136,13 @@ def test_a_stop_is_retried_when_connections_are_refused(ring, monkeypatch):
     assert asked(ring, client.emergency_stop("fire"), ring.folder, Crowded(7))[0] == EmergencyStopResult({})
     assert isinstance(asked(ring, keys=ring.folder, host=Crowded(7))[0], AddressError)
     # A refusal is an answer.
-    ring.put("me", ring.made("person", "anna", Right.OBSERVE))
+    ring.put("me", ring.issue("person", "anna", Right.OBSERVE))
     host = Alpha()
     assert isinstance(asked(ring, client.emergency_stop("fire"), ring.folder, host)[0], HandshakeError)
 
 
 def test_without_the_right_to_stop_the_error_names_the_right(ring):
-    ring.put("me", ring.made("person", "anna", Right.OBSERVE))
+    ring.put("me", ring.issue("person", "anna", Right.OBSERVE))
     assert asked(ring, keys=ring.folder)[0] == SNAPSHOT
     over_tcp, _ = asked(ring, client.emergency_stop("fire"), keys=ring.folder)
     assert "anna may observe, and this takes the right to stop" in str(over_tcp)
@@ -172,11 +172,13 @@ async def test_a_host_may_stop_a_host_with_another_bundle_of_its_authority(ring)
 
 
 def test_a_command_brings_the_revocation_list_along(ring):
-    ring.put("me", replace(ring.made("person", "anna", Right.OBSERVE), revoked=ring.revocation_list(3, "ff")))
+    ring.put(
+        "me", replace(ring.issue("person", "anna", Right.OBSERVE), revoked=ring.revocation_list(3, "ff"))
+    )
     host = Alpha()
     asked(ring, keys=ring.folder, host=host)
     (brought,) = [said for who, said in host.heard if isinstance(said, RevocationUpdate) and who == "anna"]
-    assert revoked_in(brought.list, ring.made("host", "x").authority).number == 3
+    assert revoked_in(brought.list, ring.issue("host", "x").authority).number == 3
 
 
 @pytest.fixture

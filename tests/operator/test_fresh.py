@@ -45,7 +45,7 @@ def test_a_reset_ends_local_coordinators_as_lost_and_closes_the_run():
     pages = [StartCounter(3), RunMarker(True), BundleRecord(b"b" * 32), HERE, OVER, FenceRecord("pilot", 2)]
     found = plan(pages, {})
     assert (found.discarded, found.departed) == ([HERE], [])
-    ended, run, bundle = found.pages
+    ended, run, bundle = found.records
     # After a reset an unsigned bundle is reported again.
     assert (run, bundle) == (RunMarker(open=False), BundleRecord(b""))
     assert (ended.agent, ended.generation, ended.sequence) == ("pilot", 3, 4)
@@ -72,7 +72,7 @@ def test_a_departed_coordinator_blocks_a_reset_until_its_end_is_known(state):
         {"bravo": batch(CoordinatorState("scout", 2, 7, 6, "EXITED", "bravo", "died", "why"))},
     )
     assert (found.discarded, found.departed) == ([], [])
-    assert (found.pages[0].outcome, found.pages[0].detail, found.pages[0].ended_on) == (
+    assert (found.records[0].outcome, found.records[0].detail, found.records[0].ended_on) == (
         "died",
         "why",
         "bravo",
@@ -84,7 +84,7 @@ def test_a_coordinator_parked_elsewhere_is_discarded_but_its_shadow_is_no_proof(
     found = plan([AWAY], {"bravo": batch(), "carol": batch(parked=(parked,))})
     assert found.parked == {AWAY: "carol"}
     assert (found.discarded, found.departed) == ([AWAY], [])
-    assert found.pages[0].outcome == "lost"
+    assert found.records[0].outcome == "lost"
     shadow = replace(parked, state="MOVED", where="carol")
     assert plan([AWAY], {"bravo": batch(parked=(shadow,))}).departed == [AWAY]
 

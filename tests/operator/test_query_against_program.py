@@ -51,7 +51,7 @@ def offered(path: Path, primitive: str, capabilities: Path | None = None) -> lis
     """The providers of a primitive, as a query reports them."""
     team = open_team(path)
     asked = read_context(path, team, capabilities)
-    matcher = Matcher(asked.registry, roster_from_files(asked.registry, team.deployed), asked.ways)
+    matcher = Matcher(asked.registry, roster_from_files(asked.registry, team.deployed), asked.realisations)
     return [offer.agent for offer in matcher.find(primitive).offers]
 
 

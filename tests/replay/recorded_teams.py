@@ -138,7 +138,7 @@ def run_into(folder: Path, mission: Mission, seconds: float, time_of_day: float 
     target = RecordingDirectory(folder, 64 << 20)
     fleet = Fleet(mission, 1, options=FleetOptions(time_of_day=time_of_day, record=target))
     fleet.run(seconds)
-    for name in list(fleet.lives):
+    for name in list(fleet.runs):
         fleet.stop(name)
     fleet.run(20.0)
     fleet.close()

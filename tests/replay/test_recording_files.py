@@ -360,7 +360,7 @@ def test_a_simulated_recording_is_replayed_from_its_checkpoints(tmp_path, monkey
 
 def test_a_checkpoint_accepts_replaced_methods_but_no_new_functions(tmp_path):
     fleet = Fleet(walk_mission(tmp_path), 1, options=FleetOptions(record=RecordingMemory()))
-    core = fleet.lives["north"].host.core
+    core = fleet.runs["north"].host.core
     snapshots = CoreSnapshots(core)
     run = core.run
     core.run = lambda: run()

@@ -30,7 +30,7 @@ def stopped(tmp_path_factory) -> Path:
     target = RecordingDirectory(folder / "records", 64 << 20)
     fleet = Fleet(mission, 1, options=FleetOptions(time_of_day=1.8e9, record=target))
     fleet.run(STOPPED_AT)
-    life = fleet.lives["alpha"]
+    life = fleet.runs["alpha"]
 
     def stop() -> None:
         life.host.recorder.on_emergency_stop("anna", "smoke", lifted=False)
@@ -39,7 +39,7 @@ def stopped(tmp_path_factory) -> Path:
 
     life.process.loop.enter(stop)
     fleet.run(3.0)
-    for name in list(fleet.lives):
+    for name in list(fleet.runs):
         fleet.stop(name)
     fleet.run(10.0)
     fleet.close()

@@ -38,7 +38,7 @@ def waiting_fleet(folder: Path) -> Fleet:
 
 
 def test_the_confirmation_of_an_earlier_hop_does_not_remove_the_copy_that_returned(tmp_path: Path) -> None:
-    core = waiting_fleet(tmp_path).lives["a"].core
+    core = waiting_fleet(tmp_path).runs["a"].core
     agent = core.machine.agents["walker"]
     sequence = agent.block.w[W_SEQUENCE]
     assert agent.frozen

@@ -28,7 +28,7 @@ agents:
 
 def test_only_the_files_of_the_host_s_own_devices_are_required(tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
-    keyring.put("me", keyring.made("person", "anna", *ALL_RIGHTS))
+    keyring.put("me", keyring.issue("person", "anna", *ALL_RIGHTS))
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("//Sky:one@alpha\n//Sky:two@bravo\n")
     (tmp_path / "mission.devices.yaml").write_text(DEVICES)
@@ -41,7 +41,7 @@ def test_only_the_files_of_the_host_s_own_devices_are_required(tmp_path: Path) -
     keyring.sign(path)
 
     def verified(host: str, folder: Path) -> str:
-        keys = keyring.made("host", host)
+        keys = keyring.issue("host", host)
         own = identity_in(keys.certificate, keys.authority)
         admission = CertificateAdmission(keys, own, TrustedClock(SystemClock()))
         return BundleVerifier(host, keys, admission, folder)(path.read_bytes()).by

@@ -41,17 +41,17 @@ def verifier(keys: Keys) -> BundleVerifier:
 
 def test_bundle_is_accepted_and_its_signature_advances_the_clock(tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
-    keyring.put("me", keyring.made("person", "anna", *ALL_RIGHTS))
+    keyring.put("me", keyring.issue("person", "anna", *ALL_RIGHTS))
     data = signed(tmp_path, keyring)
-    info = verifier(keyring.made("host", "alpha"))(data)
+    info = verifier(keyring.issue("host", "alpha"))(data)
     assert info.by == "anna"
     assert abs(info.at - time.time()) < 600
 
 
 def test_signer_without_the_right_is_refused_in_1970(tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
-    keyring.put("me", keyring.made("person", "maria", Right.COMMAND))
+    keyring.put("me", keyring.issue("person", "maria", Right.COMMAND))
     data = signed(tmp_path, keyring)
     other = Keyring(tmp_path / "other")
     with pytest.raises(SignatureError):
-        verifier(other.made("host", "alpha"))(data)
+        verifier(other.issue("host", "alpha"))(data)

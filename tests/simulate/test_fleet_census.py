@@ -52,7 +52,7 @@ class LossCheck:
     def __call__(self, fleet: Fleet) -> None:
         alive = {
             (known.agent, known.generation)
-            for life in fleet.lives.values()
+            for life in fleet.runs.values()
             for known in life.core.mobility.known_states()
             if known.state in ("RUN", "FROZEN", "PREPARED")
         }
@@ -213,7 +213,7 @@ def test_a_judge_that_counts_a_silent_host_as_lost_is_found(tmp_path, monkeypatc
 def generations(fleet: Fleet) -> set[int]:
     return {
         known.generation
-        for life in fleet.lives.values()
+        for life in fleet.runs.values()
         for known in life.core.mobility.known_states()
         if known.agent == "walker"
     }
@@ -255,7 +255,7 @@ def test_a_host_with_a_new_disk_waits_for_all_and_learns_of_its_live_coordinator
     fleet.lose_disk("alpha")
     fleet.boot("alpha")
     fleet.run(30.0)
-    assert "walker" not in fleet.lives["alpha"].core.machine.agents
+    assert "walker" not in fleet.runs["alpha"].core.machine.agents
     why = "walker not started: this host has no record of earlier starts, and bravo has to answer first"
     assert [host for _, host, text in fleet.log if text.startswith(why)] == ["alpha"]
     fleet.boot("bravo")

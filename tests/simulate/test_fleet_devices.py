@@ -52,7 +52,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
 
 
 def guard_of(fleet: Fleet, host: str) -> SimulatedProcess:
-    (guard,) = fleet.lives[host].process.children[-1:]
+    (guard,) = fleet.runs[host].process.children[-1:]
     return guard
 
 
@@ -85,7 +85,7 @@ def test_the_guard_of_a_killed_host_makes_its_device_safe(mission: Mission) -> N
 def test_the_guard_of_a_suspended_host_makes_its_device_safe(mission: Mission) -> None:
     fleet = Fleet(mission, 2)
     moves_at(fleet, "b.fc")
-    fleet.lives["bravo"].process.loop.freeze()
+    fleet.runs["bravo"].process.loop.freeze()
     assert rests_within(fleet, "b.fc", SIM_SILENCE + 1.0)
 
 

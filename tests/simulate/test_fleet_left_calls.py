@@ -44,7 +44,7 @@ def test_a_portal_with_a_detached_caller_commands_no_device(tmp_path: Path) -> N
 
     while climbs() < 3:
         fleet.run(0.1)
-    machine = fleet.lives["alpha"].core.machine
+    machine = fleet.runs["alpha"].core.machine
     post, boss = machine.agents["p"], machine.agents["boss"]
     assert machine.detach_caller(boss, "RestartException", "the mission is paused")
     before = climbs()

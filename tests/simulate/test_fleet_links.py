@@ -64,7 +64,7 @@ def one_copy(fleet: Fleet) -> None:
 
 
 def links(fleet: Fleet, host: str) -> set[str]:
-    return set(fleet.lives[host].host.peers.incarnations)
+    return set(fleet.runs[host].host.peers.incarnations)
 
 
 def stamps(fleet: Fleet) -> Counter[str]:
@@ -104,11 +104,11 @@ def test_walkers_reach_all_hosts_with_each_call_made_once_and_unneeded_links_clo
         assert sorted(numbers) == list(range(1, len(numbers) + 1))
         assert len(numbers) > 100
     assert not logged(fleet, " lost\n")
-    for host, life in fleet.lives.items():
+    for host, life in fleet.runs.items():
         # A walker stays for half a second, and links for ten.
         assert life.core.membership.neighbours <= links(fleet, host)
         assert len(links(fleet, host)) < 23
-    held = Counter(frozenset((host, other)) for host in fleet.lives for other in links(fleet, host))
+    held = Counter(frozenset((host, other)) for host in fleet.runs for other in links(fleet, host))
     assert set(held.values()) == {2}
 
 
@@ -119,7 +119,7 @@ def test_two_hosts_that_dial_each_other_at_once_have_one_link(tmp_path, seed):
     fleet.run(5.0)
     assert "host12" not in links(fleet, "host0")
     for one, other in (("host0", "host12"), ("host12", "host0")):
-        life = fleet.lives[one]
+        life = fleet.runs[one]
         life.process.loop.soon(
             lambda life=life, other=other: life.host.peers.require_link(other), seed * 0.002
         )
@@ -146,7 +146,7 @@ def test_all_hosts_learn_the_end_when_a_host_without_coordinator_crashes(tmp_pat
     fleet.run(6.0)
     fleet.crash(victim)
     fleet.run(30.0)
-    assert fleet.left == dict.fromkeys(fleet.lives.keys() | fleet.left.keys(), exit_status.DONE)
+    assert fleet.left == dict.fromkeys(fleet.runs.keys() | fleet.left.keys(), exit_status.DONE)
     assert len(fleet.left) == 15
 
 
@@ -183,7 +183,7 @@ def test_cut_links_make_no_host_count_as_silent(tmp_path, seed):
         team(tmp_path, 16, "w@host0?p9&p9&p9", GUEST), seed, one_copy, options=FleetOptions(lost_after=6.0)
     )
     fleet.run(6.0)
-    for other in sorted(fleet.lives["host9"].core.membership.neighbours):
+    for other in sorted(fleet.runs["host9"].core.membership.neighbours):
         fleet.cut("host9", other)
     fleet.run(60.0)
     assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exit_status.DONE)

@@ -134,7 +134,7 @@ def test_a_host_that_has_surely_ended_is_not_waited_for(tmp_path):
     start_of(fleet)
     fleet.run(4.0)
     fleet.crash("bravo")
-    alpha = fleet.lives["alpha"]
+    alpha = fleet.runs["alpha"]
     alpha.process.loop.enter(lambda: alpha.host.dispatch(HostExited("bravo")))
     fleet.run(10.0)
     (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")

@@ -6,7 +6,7 @@ from pathlib import Path
 from secrets import token_bytes
 
 from lfield.mission.loader import load_mission
-from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.simulate.host_fleet import Fleet, HostRun
 from lfield.testing.mission_operator import OperatorLink
 from lfield.wire.observer_messages import Pause, with_epoch
 
@@ -29,13 +29,13 @@ coordinator Walker {
 """
 
 
-def say(life: HostLife, *, lift: bool) -> None:
+def say(life: HostRun, *, lift: bool) -> None:
     order = with_epoch(Pause(token_bytes(16), lift), life.core.orders.epochs)
     life.process.loop.enter(lambda: life.host.on_message("", order, OperatorLink()))
 
 
 def latched(fleet: Fleet) -> str:
-    (device,) = fleet.lives["alpha"].host.status().devices
+    (device,) = fleet.runs["alpha"].host.status().devices
     return device.latched
 
 
@@ -44,7 +44,7 @@ def test_the_devices_of_a_host_restarted_during_a_pause_are_held(tmp_path: Path)
     (tmp_path / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1)
     fleet.run(8.0)
-    say(fleet.lives["alpha"], lift=False)
+    say(fleet.runs["alpha"], lift=False)
     fleet.run(5.0)
     assert latched(fleet) == "the mission is paused"
     fleet.crash("alpha")
@@ -53,7 +53,7 @@ def test_the_devices_of_a_host_restarted_during_a_pause_are_held(tmp_path: Path)
     fleet.run(10.0)
     assert latched(fleet) == "the mission is paused"
     assert not [text for _, _, text in fleet.log[began:] if "climbs" in text]
-    say(fleet.lives["alpha"], lift=True)
+    say(fleet.runs["alpha"], lift=True)
     fleet.run(10.0)
     assert latched(fleet) == ""
     assert [text for _, _, text in fleet.log[began:] if "climbs" in text]

@@ -52,7 +52,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
 def on_its_way(fleet: Fleet) -> None:
     """Run until the pilot, which has used the vehicle of alpha, is on carol."""
     fleet.run(10.0)
-    assert "pilot" in fleet.lives["carol"].core.machine.agents
+    assert "pilot" in fleet.runs["carol"].core.machine.agents
     assert fleet.hardware["a.fc"].record[-1].what == "goTo"
 
 
@@ -61,7 +61,7 @@ def became(fleet: Fleet, device: str) -> list[tuple[float, str]]:
 
 
 def latched(fleet: Fleet, host: str) -> dict[str, str]:
-    return dict(fleet.lives[host].host.guards.latched)
+    return dict(fleet.runs[host].host.guards.latched)
 
 
 @pytest.mark.few(0)
@@ -101,6 +101,6 @@ def test_a_restarted_guard_restores_that_safe_state(mission: Mission) -> None:
     on_its_way(fleet)
     fleet.crash("carol")
     fleet.run(AFTER + 10.0)
-    fleet.lives["alpha"].process.children[-1].die(-9)
+    fleet.runs["alpha"].process.children[-1].die(-9)
     fleet.run(5.0)
     assert became(fleet, "a.fc")[-1][1] == "hold"

@@ -82,7 +82,7 @@ def run_until(fleet: Fleet, what: str, within: float) -> float:
 def holder(fleet: Fleet) -> str:
     """The host of the walker, once it is not in a hop."""
     while True:
-        agents = {name: life.core.machine.agents.get("walker") for name, life in fleet.lives.items()}
+        agents = {name: life.core.machine.agents.get("walker") for name, life in fleet.runs.items()}
         found = [name for name, agent in agents.items() if agent is not None and not agent.frozen]
         if len(found) == 1:
             return found[0]
@@ -145,7 +145,7 @@ def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
     fleet.boot(gone)
     run_until(fleet, "complete", 90.0)
     fleet.run(5.0)
-    (row,) = (k for k in fleet.lives[gone].core.mobility.known_states() if k.generation == 1)
+    (row,) = (k for k in fleet.runs[gone].core.mobility.known_states() if k.generation == 1)
     assert (row.state, row.outcome) == ("EXITED", "superseded")
     assert len(logged(fleet, "complete")) == 1
 
@@ -319,7 +319,7 @@ def test_without_journals_the_interval_is_ignored_and_logged(tmp_path: Path) -> 
 
 def spoil(fleet: Fleet, host: str) -> CoordinatorCopy:
     """Damage the block of the walker on this host."""
-    copy = fleet.lives[host].core.mobility.newest_copy("walker")
+    copy = fleet.runs[host].core.mobility.newest_copy("walker")
     assert copy is not None
     assert copy.block is not None
     copy.block = bytes(copy.block[: 8 * HEADER_WORDS]) + b"\xff" * (len(copy.block) - 8 * HEADER_WORDS)

@@ -97,7 +97,7 @@ class Team(Fleet):
 
     def known(self, host: str) -> CoordinatorState | None:
         """The newest start that a host knows."""
-        rows = self.lives[host].core.mobility.known_states()
+        rows = self.runs[host].core.mobility.known_states()
         return max(rows, key=lambda row: row.generation, default=None)
 
     def waiting(self) -> list[str]:
@@ -127,7 +127,7 @@ def when_it_is_sent(team: Team, strike: Callable[[], None]) -> None:
         strike()
         go(*given)
 
-    tap_calls(team.lives["a"].host.peers, send_transfer)
+    tap_calls(team.runs["a"].host.peers, send_transfer)
 
 
 def when_it_has_arrived(team: Team, strike: Callable[[], None]) -> None:
@@ -143,7 +143,7 @@ def when_it_is_acknowledged(team: Team, strike: Callable[[], None]) -> None:
             strike()
         go(host, message)
 
-    tap_calls(team.lives["b"].host.peers, send)
+    tap_calls(team.runs["b"].host.peers, send)
 
 
 def when_it_comes_back(team: Team, strike: Callable[[], None]) -> None:
@@ -158,12 +158,12 @@ def when_it_comes_back(team: Team, strike: Callable[[], None]) -> None:
         go(*given)
 
     for tapped in (send, send_transfer):
-        tap_calls(team.lives["b"].host.peers, tapped)
+        tap_calls(team.runs["b"].host.peers, tapped)
 
 
 def tap(team: Team, host: str, name: str, strike: Callable[[], None], *, before: bool) -> None:
     """Call `strike` before or after the first call of a method of a host's core, or of its mobility."""
-    core = team.lives[host].core
+    core = team.runs[host].core
 
     def tapped(go: Callable[..., object], *given: object) -> object:
         if before:
@@ -260,18 +260,18 @@ def test_any_host_with_proof_ends_a_doubt_about_a_lost_host(tmp_path):
         fleet.later(0.0, lambda: [fleet.crash(name) for name in "wz"])
         go(*given)
 
-    tap_calls(fleet.lives["z"].host.peers, send)
-    tap_calls(fleet.lives["y"].host.peers, send_transfer)
+    tap_calls(fleet.runs["z"].host.peers, send)
+    tap_calls(fleet.runs["y"].host.peers, send_transfer)
     fleet.run(16.0)
-    assert set(fleet.lives) == {"a", "y"}
-    states = [fleet.lives[name].core.mobility.known_states()[0].state for name in "ay"]
+    assert set(fleet.runs) == {"a", "y"}
+    states = [fleet.runs[name].core.mobility.known_states()[0].state for name in "ay"]
     assert states == ["MOVED", "IN DOUBT"]
 
 
 def test_the_relayed_messages_of_one_sender_are_limited(tmp_path):
     team = Team(tmp_path, "call")
     team.run(0.5)
-    core, sent = team.lives["c"].core, []
+    core, sent = team.runs["c"].core, []
     core.drain_effects()
     for count in range(1, 3 * MAX_PER_SECOND):
         question = TransferQuery("walker", 1, 9, 1)

@@ -9,7 +9,7 @@ import pytest
 
 from lfield.journal.records import PendingCallRecord
 from lfield.mission.loader import load_mission
-from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.simulate.host_fleet import Fleet, HostRun
 from lfield.testing.mission_operator import OperatorLink
 from lfield.wire.observer_messages import EmergencyStop, Pause, with_epoch
 
@@ -84,7 +84,7 @@ class Team(Fleet):
 
     def begun(self, host: str) -> list[str]:
         """The outcomes in the records of calls on the disk of a host."""
-        return [page.outcome for page in self.disks[host].pages() if isinstance(page, PendingCallRecord)]
+        return [page.outcome for page in self.disks[host].records() if isinstance(page, PendingCallRecord)]
 
 
 def test_begun_calls_are_stored_and_deleted_after_their_results_were_fetched(tmp_path: Path) -> None:
@@ -162,8 +162,8 @@ def test_a_boss_that_ends_leaves_no_call_running_also_on_an_unreachable_host(tmp
     team.cut("bravo", "alpha")
     team.until("gives 2")
     team.run(1.0)
-    assert "fetches from bravo" in [agent.state for agent in team.lives["carol"].host.status().agents]
-    (begun,) = team.lives["bravo"].host.status().pending_calls
+    assert "fetches from bravo" in [agent.state for agent in team.runs["carol"].host.status().agents]
+    (begun,) = team.runs["bravo"].host.status().pending_calls
     assert (begun.agent, begun.resource, begun.portal, begun.state) == ("boss", "one", "work", "running")
     team.until("boss: unreachable 0 0")
     team.run(5.0)
@@ -211,7 +211,7 @@ def test_a_time_limit_includes_the_downtime_of_the_boss_host(tmp_path: Path) -> 
     assert team.now < began + 4.0
 
 
-def order(life: HostLife, *, lift: bool) -> EmergencyStop | Pause:
+def order(life: HostRun, *, lift: bool) -> EmergencyStop | Pause:
     return with_epoch(Pause(token_bytes(16), lift), life.core.orders.epochs)
 
 
@@ -220,7 +220,7 @@ def test_a_call_of_a_remote_boss_ends_when_its_host_is_paused(tmp_path: Path) ->
     team.until("sets 2")
 
     def say(*, lift: bool) -> None:
-        life = team.lives["bravo"]
+        life = team.runs["bravo"]
         life.process.loop.enter(lambda: life.host.on_message("", order(life, lift=lift), OperatorLink()))
 
     say(lift=False)
@@ -261,7 +261,7 @@ def test_a_device_used_for_a_remote_boss_is_safe_when_the_lease_of_its_host_ends
     for host in ("alpha", "carol"):
         team.cut("bravo", host)
     team.run(4.0)
-    device = next(d for d in team.lives["bravo"].host.status().devices if d.name == "one.fc")
+    device = next(d for d in team.runs["bravo"].host.status().devices if d.name == "one.fc")
     assert "the lease of bravo has ended" in device.latched
     assert "it was used for boss" in device.latched
     assert team.begun("bravo") == ["thrown"]

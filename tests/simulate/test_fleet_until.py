@@ -81,7 +81,7 @@ def test_a_call_delayed_in_the_pipe_of_a_suspended_guard_is_not_executed(
     mission: Mission,
 ) -> None:
     fleet = frees(mission, 1)
-    (guard,) = fleet.lives["alpha"].process.children
+    (guard,) = fleet.runs["alpha"].process.children
     guard.loop.freeze()
     fleet.run(0.2 + TTL + 0.3)
     guard.loop.thaw()

@@ -39,9 +39,9 @@ def mission(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def test_a_team_with_a_witness_ends(mission: Mission) -> None:
     fleet = Fleet(mission, 3, options=FleetOptions(lost_after=60.0))
-    assert set(fleet.lives) == {"alpha", "bravo", "ground"}
+    assert set(fleet.runs) == {"alpha", "bravo", "ground"}
     fleet.run(5.0)
-    ground = fleet.lives["ground"].core
+    ground = fleet.runs["ground"].core
     assert ground.machine.agents == {}
     assert ground.mission.recovery.members == ("alpha", "bravo", "ground")
     fleet.run(60.0)
@@ -50,11 +50,11 @@ def test_a_team_with_a_witness_ends(mission: Mission) -> None:
 
 def test_a_witness_may_restart(mission: Mission) -> None:
     fleet = Fleet(mission, 5)
-    first = fleet.lives["ground"]
+    first = fleet.runs["ground"]
     FaultRates(cut=2.0, kill=6.0).inject(fleet, random.Random(5), 60.0)
     fleet.run(90.0)
     assert not fleet.failed
-    assert fleet.lives["ground"] is not first
+    assert fleet.runs["ground"] is not first
     # The witness receives the end of the coordinator again, from the hosts with the record.
-    rows = fleet.lives["ground"].core.mobility.known_states()
+    rows = fleet.runs["ground"].core.mobility.known_states()
     assert [(row.agent, row.state) for row in rows] == [("boss", "EXITED")]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from lfield.mission.loader import load_mission
-from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.simulate.host_fleet import Fleet, HostRun
 from lfield.testing.mission.call_record import CallRecorder, RecordedCall
 from lfield.testing.mission.resource_doubles import ResourceDoubles
 
@@ -32,14 +32,14 @@ class SmallTeam(Fleet):
         self.calls = CallRecorder(lambda: self.now)
         super().__init__(mission, 1, watch=SmallTeam._look, on_start=self._watched)
 
-    def _watched(self, name: str, life: HostLife) -> None:
+    def _watched(self, name: str, life: HostRun) -> None:
         self.calls.observe(life.core.machine)
         self.doubles.attach(life)
 
     def _look(self) -> None:  # type: ignore[override]
         self.doubles.release_monitors()
-        if self.doubles.trouble:
-            raise self.doubles.trouble.pop(0)
+        if self.doubles.failures:
+            raise self.doubles.failures.pop(0)
 
     def said(self, text: str) -> bool:
         return any(text in line for _, _, line in self.log)

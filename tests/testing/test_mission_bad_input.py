@@ -146,7 +146,7 @@ def test_a_closed_team_refuses_every_request(pumps, ask):
     team.close()
     with pytest.raises(MissionTestError, match=r"^this team is closed; only its recorded data is available"):
         ask(team)
-    assert not team._fleet.lives
+    assert not team._fleet.runs
 
 
 def test_recorded_data_is_available_after_the_team_is_closed(pumps):

@@ -230,7 +230,7 @@ def test_real_access_by_a_drivers_event_loop_is_refused(still, deed, said):
         except Exception:
             return
 
-    (life,) = still._fleet.lives.values()
+    (life,) = still._fleet.runs.values()
     still.at(0.5, lambda: life.process.loop.enter(lambda: life.process.loop.create_task(silently())))
     with pytest.raises(RealEndpoint, match=f"it tried to {said}"):
         still.run(1.0)

@@ -73,7 +73,7 @@ def test_a_slow_condition_or_thread_is_named(posted):
     with pytest.raises(Stuck, match=r"held by .*<lambda> \(test_mission_patience"):
         posted().run(until=lambda: threading.Lock().acquire() and threading.Event().wait())
     team = posted()
-    (life,) = team._fleet.lives.values()
+    (life,) = team._fleet.runs.values()
     team.at(1.0, lambda: life.process.loop.enter(lambda: life.process.loop.run_in_executor(None, nap)))
     with pytest.raises(Stuck, match=r"at 1.002 s .*held by nap"):
         team.run(10.0)

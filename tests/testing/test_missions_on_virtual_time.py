@@ -120,7 +120,7 @@ def test_an_action_at_a_line_of_l_runs_once(walk):
     # The call of agent two, from the host of agent one, and later the start of each round.
     team.when("walk.L:10", lambda: times.append(team.now))
     team.when("walk.L:11", lambda: team.crash("bravo"))
-    team.run(until=lambda: "bravo" not in team._fleet.lives)
+    team.run(until=lambda: "bravo" not in team._fleet.runs)
     assert len(times) == 1
     assert times[0] > 1.0
     assert team.hops[-1].target == "bravo"
@@ -232,7 +232,7 @@ def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     team = lfield_mission(FLIGHT)
     team.run(until="lead: at north")
     team.stop()
-    team.run(until=lambda: not team._fleet.lives)
+    team.run(until=lambda: not team._fleet.runs)
     assert team.fake("lead.fc").facts["airborne"] is False
     assert team.fake("wing.fc").facts["airborne"] is False
 

@@ -47,7 +47,7 @@ SMALL = {
     "lfield/authority/web_ca/web_certificates.py": "the paths of pages in the folder of an authority",
     "lfield/lang/parser/concurrency.py": "statements whose keywords are names elsewhere",
     "lfield/wire/reservation_messages.py": "all messages about reservations",
-    "lfield/capability/ways.py": "names that compiler and machine share",
+    "lfield/capability/realisations.py": "names that compiler and machine share",
     "lfield/clock.py": "the clock protocol of all packages",
     "lfield/devices/jitter_measurement.py": "the I/O of the jitter measurement",
     "lfield/operator/web/page.py": "the only page of the only component",

@@ -26,7 +26,14 @@ from lfield.vm.memory.block_verifier import BlockVerifier
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import Layouts
-from lfield.vm.offer_objects import FoundOffer, OfferClasses, SearchIncomplete, UnknownWay, ways, write_offers
+from lfield.vm.offer_objects import (
+    FoundOffer,
+    OfferClasses,
+    SearchIncomplete,
+    UnknownRealisation,
+    realisations,
+    write_offers,
+)
 
 TEAM = """
 resource Crane {
@@ -201,12 +208,12 @@ def test_a_full_block_is_not_changed_and_the_needed_words_are_reported(agent: st
     ],
 )
 def test_an_unknown_realisation_is_refused(found: FoundOffer) -> None:
-    with pytest.raises(UnknownWay, match="the program has no realisation"):
+    with pytest.raises(UnknownRealisation, match="the program has no realisation"):
         written(new_block(), [found])
 
 
 def test_a_program_has_the_realisations_of_its_registry() -> None:
-    assert ways(program()) == {
+    assert realisations(program()) == {
         "Lift": {
             "byCrane",
             "as_climb_lifts",

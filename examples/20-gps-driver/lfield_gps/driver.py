@@ -52,8 +52,8 @@ class GpsDriver(Driver):
 class GpsDevice(Device):
     """A receiver: a pure sensor, without safe state, watchdog or motion."""
 
-    def __init__(self, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self.malformed = 0
         self._fix = ""
         self._received_at: float | None = None

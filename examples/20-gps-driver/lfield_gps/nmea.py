@@ -44,10 +44,10 @@ def parse(line: bytes) -> Values:
         text = line.strip().decode("ascii")
     except UnicodeDecodeError:
         raise InvalidSentence("bytes that are not text") from None
-    body, star, given = text[1:].rpartition("*")
-    if not text.startswith("$") or not star or len(given) != 2:
+    body, star, received_sum = text[1:].rpartition("*")
+    if not text.startswith("$") or not star or len(received_sum) != 2:
         raise InvalidSentence("no sentence")
-    if given.upper() != f"{checksum(body):02X}":
+    if received_sum.upper() != f"{checksum(body):02X}":
         raise InvalidSentence("a wrong checksum")
     name, *fields = body.split(",")
     reader = READERS.get(name[-3:]) if len(name) == 5 else None
@@ -99,11 +99,11 @@ def _place(fields: Sequence[str]) -> tuple[float, float]:
     return latitude * signs[fields[1]], longitude * signs[fields[3]]
 
 
-def _angle(text: str, digits: int, most: float) -> float:
+def _angle(text: str, digits: int, maximum: float) -> float:
     """Degrees from `dddmm.mmmm`."""
     minutes = _number(text[digits:])
     degrees = int(text[:digits]) + minutes / 60.0
-    if not (0.0 <= minutes < 60.0 and 0.0 <= degrees <= most):
+    if not (0.0 <= minutes < 60.0 and 0.0 <= degrees <= maximum):
         raise ValueError
     return degrees
 

@@ -31,15 +31,15 @@ class Ball:
     radius: float = BALL_RADIUS
     goals: list[int] = field(default_factory=lambda: [0, 0])
     #: Remaining seconds in a goal; 0 in play.
-    rests: float = 0.0
+    pause: float = 0.0
     #: The position of the last progress, and the seconds since then.
     mark: Vector = (0.0, 0.0)
     stuck: float = 0.0
 
     def step(self, seconds: float) -> None:
         """Advances time."""
-        if self.rests > 0.0:
-            self._rest(seconds)
+        if self.pause > 0.0:
+            self._wait_in_goal(seconds)
             return
         speed = math.hypot(*self.speed)
         factor = max(0.0, 1.0 - ROLLING_FRICTION * seconds / speed) if speed > 0.0 else 0.0
@@ -48,12 +48,12 @@ class Ball:
         self.keep_on_pitch()
         if abs(self.place[0]) > LENGTH / 2.0 + self.radius:
             self.goals[self.place[0] < 0.0] += 1
-            self.speed, self.rests = (0.0, 0.0), PAUSE
+            self.speed, self.pause = (0.0, 0.0), PAUSE
         self._progress(seconds)
 
-    def _rest(self, seconds: float) -> None:
-        self.rests = max(0.0, self.rests - seconds)
-        if self.rests == 0.0:
+    def _wait_in_goal(self, seconds: float) -> None:
+        self.pause = max(0.0, self.pause - seconds)
+        if self.pause == 0.0:
             self.place = (0.0, 0.0)
 
     def _progress(self, seconds: float) -> None:
@@ -65,10 +65,10 @@ class Ball:
 
     def keep_on_pitch(self) -> None:
         """Keeps the ball inside the walls, where it bounces; between the posts there is no wall."""
-        beyond = abs(self.place[0]) - (LENGTH / 2.0 - self.radius)
+        overrun = abs(self.place[0]) - (LENGTH / 2.0 - self.radius)
         sideways = abs(self.place[1]) - (GOAL / 2.0 - self.radius)
-        if beyond > 0.0 and sideways > 0.0:
-            self._wall(0, beyond) if beyond < sideways else self._wall(1, sideways)
+        if overrun > 0.0 and sideways > 0.0:
+            self._wall(0, overrun) if overrun < sideways else self._wall(1, sideways)
         self._wall(1, abs(self.place[1]) - (WIDTH / 2.0 - self.radius))
 
     def _wall(self, axis: int, overlap: float) -> None:
@@ -84,8 +84,9 @@ class Ball:
     def touch(self, place: Vector, radius: float) -> tuple[float, Vector]:
         """Distance to a disc in metres, and the direction from the disc to the ball."""
         north, east = self.place[0] - place[0], self.place[1] - place[1]
-        away = math.hypot(north, east)
-        return away - radius - self.radius, (north / away, east / away) if away > 0.0 else (1.0, 0.0)
+        distance = math.hypot(north, east)
+        normal = (north / distance, east / distance) if distance > 0.0 else (1.0, 0.0)
+        return distance - radius - self.radius, normal
 
     def collide(self, normal: Vector, speed: Vector) -> None:
         """Changes the speed in a collision with a moving object."""
@@ -96,7 +97,7 @@ class Ball:
     def kick(self, place: Vector, radius: float, speed: float) -> bool:
         """Kicks the ball straight away from a disc. False if the ball is too far away."""
         gap, normal = self.touch(place, radius)
-        if gap > REACH or self.rests > 0.0:
+        if gap > REACH or self.pause > 0.0:
             return False
         speed = min(MAX_KICK_SPEED, max(0.0, speed))
         self.speed = normal[0] * speed, normal[1] * speed

@@ -55,19 +55,19 @@ class Box:
         cos, sin = math.cos(self.heading), math.sin(self.heading)
         north, east = place[0] - self.north, place[1] - self.east
         ahead, aside = north * cos + east * sin, east * cos - north * sin
-        near = _clamp(ahead, LENGTH / 2.0), _clamp(aside, WIDTH / 2.0)
-        away = math.hypot(ahead - near[0], aside - near[1])
-        if away > 0.0:
-            inward = (near[0] - ahead) / away, (near[1] - aside) / away
+        nearest = _clamp(ahead, LENGTH / 2.0), _clamp(aside, WIDTH / 2.0)
+        distance = math.hypot(ahead - nearest[0], aside - nearest[1])
+        if distance > 0.0:
+            inward = (nearest[0] - ahead) / distance, (nearest[1] - aside) / distance
         else:
             # The centre of the disc is inside the box: the normal is that of the nearest side.
             depth = LENGTH / 2.0 - abs(ahead), WIDTH / 2.0 - abs(aside)
-            away = -min(depth)
+            distance = -min(depth)
             out = depth[0] < depth[1]
             inward = (-math.copysign(1.0, ahead), 0.0) if out else (0.0, -math.copysign(1.0, aside))
-        lever = near[0] * inward[1] - near[1] * inward[0]
+        lever = nearest[0] * inward[1] - nearest[1] * inward[0]
         normal = inward[0] * cos - inward[1] * sin, inward[0] * sin + inward[1] * cos
-        return Contact(away - radius, normal, lever)
+        return Contact(distance - radius, normal, lever)
 
     def speed_at(self, contact: Contact) -> float:
         """The speed of the contact point along the normal, in m/s."""
@@ -94,5 +94,5 @@ class Box:
         self.heading = math.remainder(self.heading + self.spin * seconds, math.tau)
 
 
-def _clamp(value: float, most: float) -> float:
-    return min(most, max(-most, value))
+def _clamp(value: float, limit: float) -> float:
+    return min(limit, max(-limit, value))

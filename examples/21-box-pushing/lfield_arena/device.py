@@ -20,9 +20,9 @@ TARGET_FIELDS = ("north", "east", "heading")
 class OmniDevice(Device):
     """A robot. The last argument, `ask`, sends a request and returns the answer."""
 
-    def __init__(self, *given: Any) -> None:
-        *own, ask = given
-        super().__init__(*own)
+    def __init__(self, *arguments: Any) -> None:
+        *device_arguments, ask = arguments
+        super().__init__(*device_arguments)
         self._ask: Callable[[str], Awaitable[str]] = ask
         self._lost = self._moves = False
 

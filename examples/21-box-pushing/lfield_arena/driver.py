@@ -19,10 +19,10 @@ ANSWER_TIMEOUT, LONGEST = 0.5, 4096
 class ArenaDriver(Driver):
     """The connection to a robot. After a failure, the next request connects again."""
 
-    def __init__(self, *given: Any, connect: Connect = asyncio.open_connection) -> None:
+    def __init__(self, *arguments: Any, connect: Connect = asyncio.open_connection) -> None:
         self._connect, self._polling = connect, True
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
-        super().__init__(*given)
+        super().__init__(*arguments)
 
     def _set_up(self) -> None:
         self._lock = asyncio.Lock()

@@ -89,7 +89,7 @@ class Field:
     now: float = field(default=0.0)
 
     @classmethod
-    def of(cls, layout: Layout, world: World | None = None) -> Field:
+    def from_layout(cls, layout: Layout, world: World | None = None) -> Field:
         """The initial field of a layout."""
         world = world or World()
         return cls(
@@ -138,19 +138,19 @@ class Field:
             return [(self.box.north, self.box.east, self.box.heading)]
         if self.ball is not None:
             return [(*self.ball.place, math.atan2(self.ball.speed[1], self.ball.speed[0]))]
-        return [(*one.place, math.atan2(one.velocity[1], one.velocity[0])) for one in self.free_prey]
+        return [(*prey.place, math.atan2(prey.velocity[1], prey.velocity[0])) for prey in self.free_prey]
 
     @property
     def _bodies(self) -> list[Disc]:
         bodies: list[Disc] = [*self.robots.values(), *self.free_prey]
-        if self.ball is not None and not self.ball.rests:
+        if self.ball is not None and not self.ball.pause:
             bodies.append(self.ball)
         return bodies
 
     def _move_ball(self, ball: Ball, seconds: float) -> None:
         for robot in self.robots.values():
             gap, normal = ball.touch(robot.place, robot.radius)
-            if gap < TOUCH and not ball.rests:
+            if gap < TOUCH and not ball.pause:
                 ball.collide(normal, robot.velocity)
         ball.step(seconds)
 
@@ -174,30 +174,33 @@ class Field:
 
     def _run(self, prey: Prey, seconds: float) -> None:
         """Moves a prey, which slides along robots, and stops if it would overlap a robot."""
-        before = prey.place
-        prey.place = self.world.inside(_moved(before, prey.velocity, seconds), prey.radius)
+        previous = prey.place
+        prey.place = self.world.inside(_moved(previous, prey.velocity, seconds), prey.radius)
         for _ in range(SLIDE_ITERATIONS):
             for robot in self.robots.values():
-                away = math.dist(robot.place, prey.place)
-                overlap = robot.radius + prey.radius - away
-                if overlap > 0.0 and away > 0.0:
-                    out = (prey.place[0] - robot.place[0]) / away, (prey.place[1] - robot.place[1]) / away
+                distance = math.dist(robot.place, prey.place)
+                overlap = robot.radius + prey.radius - distance
+                if overlap > 0.0 and distance > 0.0:
+                    out = (
+                        (prey.place[0] - robot.place[0]) / distance,
+                        (prey.place[1] - robot.place[1]) / distance,
+                    )
                     prey.place = _moved(prey.place, out, overlap)
         distances = [math.dist(robot.place, prey.place) for robot in self.robots.values()]
         if min(distances, default=math.inf) < RADIUS + PREY_RADIUS - MAX_OVERLAP:
-            prey.place = before
+            prey.place = previous
 
     def _resolve_overlaps(self) -> None:
         """Moves overlapping discs apart, each by one half, and out of the box."""
         bodies = self._bodies
         for _ in range(MAX_ITERATIONS):
             largest = 0.0
-            for index, one in enumerate(bodies):
-                for other in bodies[index + 1 :]:
-                    largest = max(largest, _separate(one, other))
+            for index, first in enumerate(bodies):
+                for second in bodies[index + 1 :]:
+                    largest = max(largest, _separate(first, second))
                 if self.box is not None:
-                    contact = self.box.touch(one.place, one.radius)
-                    one.place = _moved(one.place, contact.normal, min(0.0, contact.gap))
+                    contact = self.box.touch(first.place, first.radius)
+                    first.place = _moved(first.place, contact.normal, min(0.0, contact.gap))
                     largest = max(largest, -contact.gap)
             if self.ball is not None:
                 self._keep_on_pitch(self.ball)
@@ -207,27 +210,27 @@ class Field:
     def _keep_on_pitch(self, ball: Ball) -> None:
         """Keeps the ball and the robots on the pitch. Robots do not enter the goals."""
         for robot in self.robots.values():
-            most = LENGTH / 2.0 - robot.radius, WIDTH / 2.0 - robot.radius
-            robot.place = _within(robot.place[0], most[0]), _within(robot.place[1], most[1])
-        if not ball.rests:
+            limits = LENGTH / 2.0 - robot.radius, WIDTH / 2.0 - robot.radius
+            robot.place = _within(robot.place[0], limits[0]), _within(robot.place[1], limits[1])
+        if not ball.pause:
             ball.keep_on_pitch()
 
 
-def _within(value: float, most: float) -> float:
-    return min(most, max(-most, value))
+def _within(value: float, limit: float) -> float:
+    return min(limit, max(-limit, value))
 
 
-def _separate(one: Disc, other: Disc) -> float:
+def _separate(first: Disc, second: Disc) -> float:
     """Moves two overlapping discs apart; returns the overlap in metres."""
-    north, east = other.place[0] - one.place[0], other.place[1] - one.place[1]
-    away = math.hypot(north, east)
-    overlap = one.radius + other.radius - away
+    north, east = second.place[0] - first.place[0], second.place[1] - first.place[1]
+    distance = math.hypot(north, east)
+    overlap = first.radius + second.radius - distance
     if overlap > 0.0:
-        along = (north / away, east / away) if away > 0.0 else (1.0, 0.0)
-        one.place = _moved(one.place, along, -overlap / 2.0)
-        other.place = _moved(other.place, along, overlap / 2.0)
+        direction = (north / distance, east / distance) if distance > 0.0 else (1.0, 0.0)
+        first.place = _moved(first.place, direction, -overlap / 2.0)
+        second.place = _moved(second.place, direction, overlap / 2.0)
     return overlap
 
 
-def _moved(place: Vector, along: Vector, metres: float) -> Vector:
-    return place[0] + along[0] * metres, place[1] + along[1] * metres
+def _moved(place: Vector, direction: Vector, metres: float) -> Vector:
+    return place[0] + direction[0] * metres, place[1] + direction[1] * metres

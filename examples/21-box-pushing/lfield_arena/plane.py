@@ -40,7 +40,7 @@ class Plane:
     """The plane in this process."""
 
     def __init__(self, layout: str, world: World) -> None:
-        self.field = Field.of(LAYOUTS[layout].of_world(world), world)
+        self.field = Field.from_layout(LAYOUTS[layout].of_world(world), world)
         robots = {str(number): Robot(self.field, number) for number in self.field.robots}
         self.robots: dict[str, Robot | Referee] = {**robots}
         if self.field.ball is not None:
@@ -54,7 +54,8 @@ class Plane:
         if self.field.all_prey:
             names = ("prey", *(f"prey {n}" for n in range(2, 1 + len(self.field.all_prey))))
             return {
-                name: partial(_place_of, prey) for name, prey in zip(names, self.field.all_prey, strict=True)
+                name: partial(_prey_place, prey)
+                for name, prey in zip(names, self.field.all_prey, strict=True)
             }
         if self.field.box is None:
             return {"ball": lambda: (*self.field.targets[0][:2], 0.0)}
@@ -99,7 +100,7 @@ class Plane:
             self._clients -= 1
 
 
-def _place_of(prey: Prey) -> Place:
+def _prey_place(prey: Prey) -> Place:
     return *prey.place, 0.0
 
 

@@ -30,11 +30,11 @@ class Referee:
 
     def answer(self, line: str) -> str:
         """The answer to a request."""
-        command, *rest = line.split() or [""]
+        command, *arguments = line.split() or [""]
         if command == "?":
             return self._state()
-        if command == "ready" and rest and rest[0] in SIDES:
-            self._field.ready.add(rest[0])
+        if command == "ready" and arguments and arguments[0] in SIDES:
+            self._field.ready.add(arguments[0])
             return "ok" if self._field.is_running else "wait"
         # `wrong` sets the faults of the simulated device.
         return "ok" if command == "wrong" else "what?"

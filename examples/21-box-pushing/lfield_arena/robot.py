@@ -59,29 +59,29 @@ class Robot:
         (north, east), speed = self._goal
         place = self.body.place
         distance = math.dist(place, (north, east))
-        way = along_axes((north - place[0], east - place[1]), self._field.world.moves)
+        direction = along_axes((north - place[0], east - place[1]), self._field.world.moves)
         if self._field.world.moves:
             # Along the axis with the longer distance, at most as far as the goal.
             distance = max(abs(north - place[0]), abs(east - place[1]))
-            way = (
-                math.copysign(distance, way[0]) if way[0] else 0.0,
-                math.copysign(distance, way[1]) if way[1] else 0.0,
+            direction = (
+                math.copysign(distance, direction[0]) if direction[0] else 0.0,
+                math.copysign(distance, direction[1]) if direction[1] else 0.0,
             )
-        pace = min(speed, max(MIN_SPEED, distance / BRAKING_TIME)) / distance
-        return way[0] * pace, way[1] * pace
+        factor = min(speed, max(MIN_SPEED, distance / BRAKING_TIME)) / distance
+        return direction[0] * factor, direction[1] * factor
 
     def _stop(self) -> None:
         self._goal, self._velocity = None, (0.0, 0.0)
 
     def answer(self, line: str) -> str:
         """The answer to a request."""
-        command, *rest = line.split() or [""]
+        command, *arguments = line.split() or [""]
         if command != "wrong":
             self._since = 0.0
         if command == "?":
             return self._state()
         try:
-            numbers = [float(text) for text in rest]
+            numbers = [float(text) for text in arguments]
         except ValueError:
             return "what?"
         if len(numbers) != REQUESTS.get(command) or not all(map(math.isfinite, numbers)):

@@ -17,9 +17,9 @@ STATE = ("now", "north_goals", "south_goals")
 class WhistleDevice(Device):
     """The referee. The last argument, `ask`, sends a request and returns the answer."""
 
-    def __init__(self, *given: Any) -> None:
-        *own, ask = given
-        super().__init__(*own)
+    def __init__(self, *arguments: Any) -> None:
+        *device_arguments, ask = arguments
+        super().__init__(*device_arguments)
         self._ask: Callable[[str], Awaitable[str]] = ask
         self._lost = False
 

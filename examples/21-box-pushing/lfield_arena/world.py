@@ -80,18 +80,18 @@ class World:
 
     def inside(self, place: Vector, radius: float) -> Vector:
         """The nearest position within the walls."""
-        most = self.size / 2.0 - radius if self.size else math.inf
-        return min(most, max(-most, place[0])), min(most, max(-most, place[1]))
+        limit = self.size / 2.0 - radius if self.size else math.inf
+        return min(limit, max(-limit, place[0])), min(limit, max(-limit, place[1]))
 
 
-def along_axes(way: Vector, moves: int) -> Vector:
+def along_axes(velocity: Vector, moves: int) -> Vector:
     """A velocity with the same speed in the nearest permitted direction."""
-    if not moves or way == (0.0, 0.0):
-        return way
-    speed = math.hypot(*way)
-    if abs(way[0]) >= abs(way[1]):
-        return math.copysign(speed, way[0]), 0.0
-    return 0.0, math.copysign(speed, way[1])
+    if not moves or velocity == (0.0, 0.0):
+        return velocity
+    speed = math.hypot(*velocity)
+    if abs(velocity[0]) >= abs(velocity[1]):
+        return math.copysign(speed, velocity[0]), 0.0
+    return 0.0, math.copysign(speed, velocity[1])
 
 
 def escape(world: World, place: Vector, hunters: Sequence[Vector], now: float, number: int) -> Vector:
@@ -101,8 +101,8 @@ def escape(world: World, place: Vector, hunters: Sequence[Vector], now: float, n
         return 0.0, 0.0
     if world.mind == "random":
         turn = 2.399963 * (world.seed + 7 * number + int(now / TURN_INTERVAL) ** 2)
-        way = PREY_SPEED * math.cos(turn), PREY_SPEED * math.sin(turn)
-        return along_axes(flight(place, walls) if walls else way, world.prey_moves)
+        velocity = PREY_SPEED * math.cos(turn), PREY_SPEED * math.sin(turn)
+        return along_axes(flight(place, walls) if walls else velocity, world.prey_moves)
     if world.mind == "away":
         nearest = sorted(hunters, key=lambda hunter: math.dist(hunter, place))[:1]
         return along_axes(flight(place, [*nearest, *walls]), world.prey_moves)
@@ -125,7 +125,7 @@ def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
         for hunter in hunters
         if math.dist(hunter, place) < VISUAL_RANGE
     ]
-    if all(math.hypot(*way) > FLIGHT_DISTANCE for way in visible):
+    if all(math.hypot(*offset) > FLIGHT_DISTANCE for offset in visible):
         return 0.0, 0.0
     angles = sorted(math.atan2(east, north) for north, east in visible)
     ends = [*angles[1:], angles[0] + math.tau]
@@ -136,9 +136,9 @@ def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
 def is_enclosed(place: Vector, robots: Sequence[tuple[Vector, float]]) -> bool:
     """Whether robots (position and radius) surround a prey, without a gap that is wide enough for it."""
     around = sorted(robots, key=lambda robot: math.atan2(robot[0][1] - place[1], robot[0][0] - place[0]))
-    for (one, radius), (other, other_radius) in zip(around, [*around[1:], *around[:1]], strict=True):
-        first = math.atan2(one[1] - place[1], one[0] - place[0])
-        turn = (math.atan2(other[1] - place[1], other[0] - place[0]) - first) % math.tau
-        if turn >= math.pi or math.dist(one, other) - radius - other_radius >= 2.0 * PREY_RADIUS:
+    for (first, radius), (second, other_radius) in zip(around, [*around[1:], *around[:1]], strict=True):
+        first_bearing = math.atan2(first[1] - place[1], first[0] - place[0])
+        turn = (math.atan2(second[1] - place[1], second[0] - place[0]) - first_bearing) % math.tau
+        if turn >= math.pi or math.dist(first, second) - radius - other_radius >= 2.0 * PREY_RADIUS:
             return False
     return len(around) > 2

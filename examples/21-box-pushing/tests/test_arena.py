@@ -35,10 +35,10 @@ def with_velocities(field, velocities):
     return field
 
 
-def behind(*asides):
+def behind(*offsets):
     """A field whose robots touch the back of a box."""
-    places = {number: (-0.35, aside) for number, aside in enumerate(asides, 1)}
-    return Field.of(Layout(places, box=(0.0, 0.0, 0.0)))
+    places = {number: (-0.35, offset) for number, offset in enumerate(offsets, 1)}
+    return Field.from_layout(Layout(places, box=(0.0, 0.0, 0.0)))
 
 
 # --- the physics ----------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ def test_energy_is_not_created(steps):
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
 def test_unpushed_box_comes_to_rest(north, east, spin):
-    field = Field.of(Layout({}, box=(0.0, 0.0, 0.0)))
+    field = Field.from_layout(Layout({}, box=(0.0, 0.0, 0.0)))
     field.box.speed, field.box.spin = (north, east), spin
     last = field.box.energy
     while last > 0.0:
@@ -70,8 +70,8 @@ def test_unpushed_box_comes_to_rest(north, east, spin):
 
 @given(st.floats(0.05, 0.5), st.floats(0.1, 0.45))
 @settings(max_examples=30)
-def test_symmetric_push_moves_straight(speed, aside):
-    field = with_velocities(behind(-aside, 0.0, aside), [(speed, 0.0)] * 3)
+def test_symmetric_push_moves_straight(speed, offset):
+    field = with_velocities(behind(-offset, 0.0, offset), [(speed, 0.0)] * 3)
     for _ in range(100):
         field.step(TICK)
     assert field.box.north > 0.0
@@ -80,8 +80,8 @@ def test_symmetric_push_moves_straight(speed, aside):
 
 
 @given(st.floats(0.1, 0.5))
-def test_unequal_push_turns_the_box_away_from_the_stronger_side(aside):
-    field = with_velocities(behind(-aside, 0.0, aside), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.0)])
+def test_unequal_push_turns_the_box_away_from_the_stronger_side(offset):
+    field = with_velocities(behind(-offset, 0.0, offset), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.0)])
     for _ in range(100):
         field.step(TICK)
     assert field.box.heading < 0.0, "a push at the right side must turn the box to the left"
@@ -100,7 +100,7 @@ def test_push_below_the_friction_moves_nothing():
 )
 @settings(max_examples=40, deadline=None)
 def test_objects_do_not_overlap(layout, velocities, data):
-    field = Field.of(LAYOUTS[layout])
+    field = Field.from_layout(LAYOUTS[layout])
     for prey in field.all_prey:
         prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
     for _ in range(300):
@@ -113,11 +113,11 @@ def test_objects_do_not_overlap(layout, velocities, data):
             )
         field.step(TICK)
         bodies = [*field.robots.values(), *field.all_prey]
-        for index, one in enumerate(bodies):
-            for other in bodies[index + 1 :]:
-                assert math.dist(one.place, other.place) > one.radius + other.radius - 1e-4
+        for index, first in enumerate(bodies):
+            for second in bodies[index + 1 :]:
+                assert math.dist(first.place, second.place) > first.radius + second.radius - 1e-4
             if field.box is not None:
-                assert field.box.touch(one.place, one.radius).gap > -1e-4
+                assert field.box.touch(first.place, first.radius).gap > -1e-4
 
 
 @given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), max_size=5))
@@ -130,13 +130,13 @@ def test_prey_has_its_full_speed_or_stands(hunters):
 @settings(max_examples=30, deadline=None)
 def test_walls_hold_prey_and_robots(mind, seed, size):
     world = World(size=size, mind=mind, seed=seed, prey=2)
-    field = Field.of(LAYOUTS["hunt"].of_world(world), world)
+    field = Field.from_layout(LAYOUTS["hunt"].of_world(world), world)
     for robot in field.robots.values():
         robot.velocity = (0.4, 0.3)
     for _ in range(400):
         field.step(TICK)
-    for one in (*field.robots.values(), *field.all_prey):
-        assert max(map(abs, one.place)) <= size / 2.0 + 1e-3
+    for body in (*field.robots.values(), *field.all_prey):
+        assert max(map(abs, body.place)) <= size / 2.0 + 1e-3
 
 
 def test_escape_strategies_of_prey():
@@ -146,9 +146,9 @@ def test_escape_strategies_of_prey():
     assert escape(World(), (0.0, 0.0), hunters, 0.0, 0) == pytest.approx(flight((0.0, 0.0), hunters))
     assert 0.0 in escape(World(prey_moves=4), (0.0, 0.0), hunters, 0.0, 0)
     random = World(mind="random", seed=3)
-    ways = [escape(random, (0.0, 0.0), [], now, 0) for now in (0.5, 0.6, 1.5)]
-    assert ways[0] == ways[1] != ways[2]
-    assert math.hypot(*ways[0]) == pytest.approx(PREY_SPEED)
+    velocities = [escape(random, (0.0, 0.0), [], now, 0) for now in (0.5, 0.6, 1.5)]
+    assert velocities[0] == velocities[1] != velocities[2]
+    assert math.hypot(*velocities[0]) == pytest.approx(PREY_SPEED)
 
 
 def test_enclosed_prey_is_removed_if_there_are_several():
@@ -157,7 +157,7 @@ def test_enclosed_prey_is_removed_if_there_are_several():
     assert not is_enclosed((0.0, 0.0), [(place, RADIUS) for place in around[:2]])
     for places, caught in (([(0.0, 0.0), (9.0, 9.0)], True), ([(0.0, 0.0)], False)):
         robots = dict(enumerate(around))
-        field = Field.of(Layout(robots, prey=tuple(places)))
+        field = Field.from_layout(Layout(robots, prey=tuple(places)))
         for _ in range(100):
             field.step(TICK)
         assert field.all_prey[0].caught is caught
@@ -174,7 +174,7 @@ def test_invalid_world_is_refused(text):
 
 def test_robot_moving_along_the_axes_reaches_its_goal():
     world = World(moves=4)
-    field = Field.of(Layout({1: (0.0, 0.0)}, prey=((5.0, 5.0),)), world)
+    field = Field.from_layout(Layout({1: (0.0, 0.0)}, prey=((5.0, 5.0),)), world)
     robot = Robot(field, 1)
     robot.answer("go 0.7 -0.4 0.5")
     places = []
@@ -243,7 +243,7 @@ class Wire:
     """A robot with a connection in memory. `cut` drops requests; `state` replaces the answers to `?`."""
 
     def __init__(self):
-        self.field, self.cut, self.state = Field.of(LAYOUTS["hunt"]), False, None
+        self.field, self.cut, self.state = Field.from_layout(LAYOUTS["hunt"]), False, None
         self.robot = Robot(self.field, 1)
 
     async def run(self):

@@ -54,7 +54,7 @@ def test_free_ball_stays_on_the_pitch_and_comes_to_rest(place, speed):
 @given(COORDINATES, SPEEDS, COMMANDS)
 @settings(max_examples=40, deadline=None)
 def test_ball_leaves_only_through_a_goal_and_never_overlaps_a_robot(place, speed, commands):
-    field = Field.of(LAYOUTS["pitch"])
+    field = Field.from_layout(LAYOUTS["pitch"])
     field.ball.place, field.ball.speed = place, speed
     robots = [Robot(field, number) for number in field.robots]
     for robot, ((north, east), _) in zip(robots, commands, strict=True):
@@ -68,16 +68,16 @@ def test_ball_leaves_only_through_a_goal_and_never_overlaps_a_robot(place, speed
             robot.step(TICK)
         field.step(TICK)
         assert on_pitch(field.ball)
-        assert (sum(field.ball.goals) > before) == (field.ball.rests == PAUSE)
-        near = min(field.ball.touch(body.place, RADIUS)[0] for body in field.robots.values())
-        overlaps = overlaps + 1 if near < -1e-3 and not field.ball.rests else 0
+        assert (sum(field.ball.goals) > before) == (field.ball.pause == PAUSE)
+        gap = min(field.ball.touch(body.place, RADIUS)[0] for body in field.robots.values())
+        overlaps = overlaps + 1 if gap < -1e-3 and not field.ball.pause else 0
         assert overlaps < 5, "an overlap must be shorter than 50 ms"
 
 
 @given(COORDINATES, SPEEDS)
 @settings(max_examples=50)
 def test_standing_robots_add_no_energy_to_the_ball(place, speed):
-    field = Field.of(LAYOUTS["pitch"])
+    field = Field.from_layout(LAYOUTS["pitch"])
     field.ball.place, field.ball.speed = place, speed
     for _ in range(300):
         fast = math.hypot(*field.ball.speed)
@@ -85,9 +85,9 @@ def test_standing_robots_add_no_energy_to_the_ball(place, speed):
         assert math.hypot(*field.ball.speed) <= fast + 1e-9
 
 
-@pytest.mark.parametrize(("way", "goals"), [(1.0, [1, 0]), (-1.0, [0, 1])])
-def test_goal_counts_once_and_the_ball_returns_to_the_middle(way, goals):
-    ball = Ball((1.8 * way, 0.3), (1.5 * way, 0.0))
+@pytest.mark.parametrize(("sign", "goals"), [(1.0, [1, 0]), (-1.0, [0, 1])])
+def test_goal_counts_once_and_the_ball_returns_to_the_middle(sign, goals):
+    ball = Ball((1.8 * sign, 0.3), (1.5 * sign, 0.0))
     for _ in range(round(PAUSE / TICK)):
         ball.step(TICK)
     assert (ball.goals, abs(ball.place[0]) > LENGTH / 2.0) == (goals, True)
@@ -98,8 +98,8 @@ def test_goal_counts_once_and_the_ball_returns_to_the_middle(way, goals):
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, REACH - 1e-6), st.floats(-1.0, 5.0))
 def test_kick_moves_the_ball_away_from_the_robot(bearing, gap, speed):
-    away = RADIUS + BALL_RADIUS + gap
-    ball = Ball((away * math.cos(bearing), away * math.sin(bearing)))
+    distance = RADIUS + BALL_RADIUS + gap
+    ball = Ball((distance * math.cos(bearing), distance * math.sin(bearing)))
     assert ball.kick((0.0, 0.0), RADIUS, speed)
     fast = min(MAX_KICK_SPEED, max(0.0, speed))
     assert ball.speed == pytest.approx((fast * math.cos(bearing), fast * math.sin(bearing)))
@@ -111,9 +111,9 @@ def test_kick_needs_a_near_ball_in_play():
     ball = Ball((RADIUS + BALL_RADIUS + REACH + 0.01, 0.0))
     robot = Robot(Field({1: body}, ball=ball), 1)
     assert robot.answer("kick 1") == "no ball"
-    ball.place, ball.rests = (0.2, 0.0), 1.0
+    ball.place, ball.pause = (0.2, 0.0), 1.0
     assert robot.answer("kick 1") == "no ball"
-    ball.rests = 0.0
+    ball.pause = 0.0
     assert robot.answer("kick 1") == "ok"
     robot.answer("wrong 1 1")
     assert robot.answer("kick 1") == "its motors are off: a fault"
@@ -121,7 +121,7 @@ def test_kick_needs_a_near_ball_in_play():
 
 def test_refereed_match_begins_when_both_teams_are_ready():
     world = World(referee=1)
-    field = Field.of(LAYOUTS["pitch"], world)
+    field = Field.from_layout(LAYOUTS["pitch"], world)
     referee, robot = Referee(field), Robot(field, 1)
     robot.answer("drive 0.4 0")
     places = []

@@ -69,7 +69,7 @@ def new_browser_ca(at: float, ends: float) -> BrowserCa:
         f"pages of a team {x509.SubjectKeyIdentifier.from_public_key(public).digest.hex()[:12]}"
     )
     allowed: list[x509.GeneralName] = [x509.IPAddress(network) for network in NETWORKS]
-    allowed += [x509.DNSName(ending) for ending in ENDINGS]
+    allowed += [x509.DNSName(suffix) for suffix in ENDINGS]
     certificate = (
         certificate_builder(name, name, public, at, ends)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)

@@ -66,7 +66,7 @@ def is_private_name(name: str) -> bool:
     address = address_in(name)
     if address is not None:
         return any(address in network for network in NETWORKS)
-    return name.endswith(tuple(f".{ending}" for ending in ENDINGS))
+    return name.endswith(tuple(f".{suffix}" for suffix in ENDINGS))
 
 
 def is_match(pattern: str, name: str) -> bool:

@@ -86,7 +86,7 @@ class _CachedCandidate(Struct, frozen=True, gc=False):
     condition: AgentCondition
     down_since: float | None
     own: bool
-    barred: Mapping[str, str]
+    denials: Mapping[str, str]
     until: float
 
 
@@ -125,7 +125,7 @@ class AgentDirectory:
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
         self.asker = ""
         #: By primitive the reasons why an asker may not call an agent, by agent id; None if all may call all.
-        self.barred: Callable[[str, str], Mapping[str, str]] | None = None
+        self.denials: Callable[[str, str], Mapping[str, str]] | None = None
         self._own_status: dict[str, AgentCondition] = {}
         self._replacements: dict[str, Callable[[AgentCondition], AgentCondition]] = {}
         self._cache: dict[str, _CachedCandidate] = {}
@@ -138,11 +138,11 @@ class AgentDirectory:
         """Set the coordinator of the next answers; '' for a person."""
         self.asker = asker
 
-    def restrict(self, barred: Callable[[str, str], Mapping[str, str]]) -> None:
-        """Set the access rules: `barred` has by primitive the reasons why a coordinator may not call an
+    def restrict(self, denials: Callable[[str, str], Mapping[str, str]]) -> None:
+        """Set the access rules: `denials` has by primitive the reasons why a coordinator may not call an
         agent.
         """
-        self.barred = barred
+        self.denials = denials
 
     def live(self, agent: str) -> Mapping[str, LiveAttribute]:
         """The live attributes of an agent, with the sources of their values."""
@@ -204,7 +204,7 @@ class AgentDirectory:
         """The agents of a resource type in their present state, in the order of the deployment."""
         return self._candidates(self._by_type.get(resource, ()))
 
-    def here(self) -> Position | None:
+    def location(self) -> Position | None:
         """The position of this host: that of the first of its agents with a known position, else its pose."""
         now, state = self._clock.monotonic(), self._host_state(self._own_host)
         own = (self._candidate(self._agents[agent], state, now) for agent in self.own_agents)
@@ -235,16 +235,16 @@ class AgentDirectory:
     def _candidate(self, agent: AgentIdentity, state: _HostState, now: float) -> Candidate:
         condition, down_since = state.conditions.get(agent.id, UNCHANGED), state.down_since
         own = condition.reserved is not None and condition.reserved.holder == self.asker
-        barred = NOTHING if self.barred is None else self.barred(self.asker, agent.id)
+        denials = NOTHING if self.denials is None else self.denials(self.asker, agent.id)
         cached = self._cache.get(agent.id)
         if (
             cached is None
             or cached.condition is not condition
-            or (cached.down_since, cached.own, cached.barred) != (down_since, own, barred)
+            or (cached.down_since, cached.own, cached.denials) != (down_since, own, denials)
             or now >= cached.until
         ):
             cached = self._cache[agent.id] = self._make_candidate(
-                agent, condition, state, now, barred, own=own
+                agent, condition, state, now, denials, own=own
             )
         return cached.candidate
 
@@ -254,37 +254,42 @@ class AgentDirectory:
         condition: AgentCondition,
         state: _HostState,
         now: float,
-        barred: Mapping[str, str],
+        denials: Mapping[str, str],
         *,
         own: bool,
     ) -> _CachedCandidate:
-        known, reported, down_since = self._profiles[agent.id], {}, state.down_since
+        profile, reported, down_since = self._profiles[agent.id], {}, state.down_since
         unavailability = (
-            condition.trouble if down_since is None else Unavailability("unreachable", down_since)
+            condition.unavailability if down_since is None else Unavailability("unreachable", down_since)
         )
         if condition.samples:
             reported = _with_ages(condition.samples, state.fresh_until, now)
         reason = unavailability or (None if own else condition.reserved)
         refusal = reason.sentence(now) if reason else ""
-        candidate = known.candidate(
+        candidate = profile.candidate(
             state.hops, refusal, reported, condition.unknown, "{1} has not reported {0} yet"
         )
-        if barred:
-            candidate = replace(candidate, barred=barred)
-        passing = reason or (reported and known.measured)
+        if denials:
+            candidate = replace(candidate, denials=denials)
+        passing = reason or (reported and profile.measured)
         return _CachedCandidate(
-            candidate, condition, down_since, own, barred, now + ANSWER_REUSE_SECONDS if passing else math.inf
+            candidate,
+            condition,
+            down_since,
+            own,
+            denials,
+            now + ANSWER_REUSE_SECONDS if passing else math.inf,
         )
 
 
 def _with_ages(samples: Mapping[str, AttributeSample], kept_until: float, now: float) -> dict[str, Fact]:
-    """The received values with their current ages; `kept` ones were renewed up to `kept_until`."""
+    """The received values with their current ages; `is_kept_current` ones were renewed up to `kept_until`."""
     facts = {}
     for name, sample in samples.items():
         age = 0.0
         if sample.of == "measured":
             age = now - sample.when
-            if sample.kept and kept_until > sample.at:
+            if sample.is_kept_current and kept_until > sample.at:
                 age -= kept_until - sample.at
         facts[name] = Fact(sample.value, age if age > 0.0 else 0.0, sample.of)
     return facts

@@ -50,25 +50,25 @@ class ReservedBy(Struct, frozen=True):
 class AttributeSample(Struct, frozen=True, gc=False):
     """A value measured at `when` and read at `at`.
 
-    The age of a `kept` one does not grow while its host is connected. A value that was stated, or reported
-    once by a device, has no age.
+    With `is_kept_current` its age does not grow while its host is connected. A value that was stated, or
+    reported once by a device, has no age.
     """
 
     value: Value
     when: float
     at: float
-    kept: bool = True
+    is_kept_current: bool = True
     of: Provenance = "measured"
 
 
 class AgentCondition(Struct, frozen=True, gc=False):
     """State of an agent, or its changes.
 
-    `trouble` and the holder of its reservation (`reserved`) are always sent, the others by attribute. An
-    attribute is among `samples`, or it is `unknown` with the reason, or absent.
+    `unavailability` and the holder of its reservation (`reserved`) are always sent, the others by attribute.
+    An attribute is among `samples`, or it is `unknown` with the reason, or absent.
     """
 
-    trouble: Unavailability | None = None
+    unavailability: Unavailability | None = None
     samples: Mapping[str, AttributeSample] = {}
     unknown: Mapping[str, str] = {}
     reserved: ReservedBy | None = None
@@ -77,7 +77,10 @@ class AgentCondition(Struct, frozen=True, gc=False):
         samples = {name: s for name, s in self.samples.items() if name not in change.unknown}
         unknown = {name: reason for name, reason in self.unknown.items() if name not in change.samples}
         return AgentCondition(
-            change.trouble, {**samples, **change.samples}, {**unknown, **change.unknown}, change.reserved
+            change.unavailability,
+            {**samples, **change.samples},
+            {**unknown, **change.unknown},
+            change.reserved,
         )
 
 
@@ -136,29 +139,29 @@ class DeltaEncoder:
         if (
             samples
             or unknown
-            or _is_other_trouble(sent.trouble, now.trouble)
+            or _is_other_reason(sent.unavailability, now.unavailability)
             or _is_other_holder(sent.reserved, now.reserved)
         ):
-            return AgentCondition(now.trouble, samples, unknown, now.reserved)
+            return AgentCondition(now.unavailability, samples, unknown, now.reserved)
         return None
 
     def _marked(self, name: str, sample: AttributeSample) -> AttributeSample:
         lasts = (
             sample.of != "measured" or sample.at - sample.when <= FRESH_SHARE * self._attributes[name].max_age
         )
-        return replace(sample, kept=lasts)
+        return replace(sample, is_kept_current=lasts)
 
     def _differs(self, sent: AttributeSample | None, now: AttributeSample, name: str) -> bool:
-        if sent is None or (sent.kept, sent.of) != (now.kept, now.of):
+        if sent is None or (sent.is_kept_current, sent.of) != (now.is_kept_current, now.of):
             return True
-        if not now.kept and abs(now.when - sent.when) > TIME_TOLERANCE:
+        if not now.is_kept_current and abs(now.when - sent.when) > TIME_TOLERANCE:
             return True
         if isinstance(now.value, float) and isinstance(sent.value, float):
             return abs(now.value - sent.value) > CHANGE_THRESHOLD * abs(self._attributes[name].typical)
         return now.value != sent.value
 
 
-def _is_other_trouble(sent: Unavailability | None, now: Unavailability | None) -> bool:
+def _is_other_reason(sent: Unavailability | None, now: Unavailability | None) -> bool:
     if sent is None or now is None:
         return sent is not now
     if sent.reason != now.reason or (sent.since is None) != (now.since is None):

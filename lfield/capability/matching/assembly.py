@@ -7,7 +7,7 @@ from functools import lru_cache
 from itertools import combinations
 from typing import get_args
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.matching.best_first_join import BestFirstJoin, PlanStream, SearchBudget
 from lfield.capability.matching.condition_checker import POSITION
 from lfield.capability.matching.condition_evaluator import evaluator, fact_names
@@ -32,8 +32,8 @@ class Assembly:
         self.rule = rule
         self._ranking = ranking
         self._needs = list(rule.needs)
-        self._field = ways.composed(rule.name)
-        self._fields = [ways.part(rule.name, need) for need in rule.needs]
+        self._field = realisations.composed(rule.name)
+        self._fields = [realisations.part(rule.name, need) for need in rule.needs]
         self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
         self._distinct = frozenset(self._needs.index(need) for need in rule.distinct)
         expressions = [*rule.where, *rule.attributes.values()]
@@ -106,9 +106,9 @@ class Assembly:
         return Plan(self._offer, (parts, facts), rank, values, unknown, self.rule.name)
 
     def _offer(self, plan: Plan) -> Offer:
-        parts, facts = plan.given
+        parts, facts = plan.inputs
         rule, offers = self.rule, [part.offer for part in parts]
-        known = {
+        common_facts = {
             name: self._fact(facts[name], fact_names(expression), offers)
             for name, _, expression in self._attributes
             if name in facts
@@ -120,7 +120,7 @@ class Assembly:
             _listed(offer.agent for offer in offers),
             _listed(offer.host for offer in offers),
             plan.cost,
-            known,
+            common_facts,
             dict(zip(self._fields, offers, strict=True)),
             rule.name,
             self._ranking.terms(ONE_TO_MANY, [rule.loss, len(parts) - 1]),

@@ -10,14 +10,14 @@ from lfield.capability.model import Expression, Value
 from lfield.text.suggestions import listed
 
 #: The reason why a fact is missing: `payload is not stated`.
-Why = Callable[[str], str]
+ReasonOf = Callable[[str], str]
 
 _NEGATED: Mapping[str, str] = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
 _MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
 def failure_reasons(
-    expression: Expression, facts: Facts, reason_of: Why, source: Callable[[str], str] = lambda name: ""
+    expression: Expression, facts: Facts, reason_of: ReasonOf, source: Callable[[str], str] = lambda name: ""
 ) -> tuple[str, ...]:
     """One sentence for each conjunct that is not true, in their order; () when all of them are.
 
@@ -34,7 +34,7 @@ def failure_reasons(
 class _Explainer:
     """Explains why conditions over the same facts do not have the expected value."""
 
-    def __init__(self, facts: Facts, reason_of: Why, source: Callable[[str], str]) -> None:
+    def __init__(self, facts: Facts, reason_of: ReasonOf, source: Callable[[str], str]) -> None:
         self._facts, self._reason_of, self._source = facts, reason_of, source
 
     def reason(self, tree: condition_tree.ConditionExpr, expected: bool) -> str:

@@ -84,22 +84,22 @@ class TeamResult(Struct, frozen=True):
 class Matcher:
     """Evaluates queries on the directory of one host, without communication.
 
-    `ways` restricts the answers to the fields that a program was compiled with, by primitive (ways.py).
-    Candidates that are the same objects as in the last query are not evaluated again.
+    `realisations` restricts the answers to the fields that a program was compiled with, by primitive
+    (realisations.py). Candidates that are the same objects as in the last query are not evaluated again.
     """
 
     def __init__(
         self,
         registry: Registry,
         team: AgentSource,
-        ways: Mapping[str, Collection[str]] | None = None,
+        realisations: Mapping[str, Collection[str]] | None = None,
         limits: SearchLimits | None = None,
     ) -> None:
         self._limits = limits or SearchLimits()
         #: The number of offers if the query has no limit.
         self.max_offers = self._limits.offers
         self._team = team
-        self._rules = RuleIndex(registry, team.candidates, ways, self._limits.depth)
+        self._rules = RuleIndex(registry, team.candidates, realisations, self._limits.depth)
 
     def find(self, primitive: str, query: OfferQuery = ANY_OFFER) -> MatchResult:
         """The best offers for a query, at most its limit or `max_offers`.
@@ -140,24 +140,24 @@ class Matcher:
             members, cost = PlanStream(_by_agents(self._ordered(search, query.order)[0])), _no_cost
         else:
             members, cost = PlanStream(_by_agents(search.plans())), self._rules.ranking.whole
-        found, more = [], False
+        offer_teams, more = [], False
         limit = query.limit or self.max_offers
         try:
             effort = SearchBudget(self._limits.failures, self._limits.steps)
             for team in islice(teams(members, size, cost, effort), limit + 1):
-                found.append([plan.offer for plan in team])
+                offer_teams.append([plan.offer for plan in team])
         except SearchBudgetExceeded:
             more = True
         agents = len(_agents(members.all()))
         cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
-        return TeamResult(found[:limit], agents, cut, more, full, len(found) > limit)
+        return TeamResult(offer_teams[:limit], agents, cut, more, full, len(offer_teams) > limit)
 
     def agents(self, primitive: str, query: OfferQuery = ANY_OFFER) -> int:
         """The number of agents that take part in any offer."""
         return len(_agents(self._search(primitive, query).plans()))
 
     def explain(self, primitive: str, constraint: Expression | None = None) -> list[Rejection]:
-        """The possible providers that are not offered: agents of each way, and rules."""
+        """The possible providers that are not offered: agents of each realisation, and rules."""
         return Explanation(self._search(primitive, OfferQuery(constraint))).refusals()
 
     def _search(self, primitive: str, query: OfferQuery) -> Search:
@@ -167,19 +167,19 @@ class Matcher:
     def _ordered(self, search: Search, keys: Sequence[SortKey]) -> tuple[list[Plan], tuple[str, ...]]:
         """All plans by some keys, then by their ranks; and the keys of which no agent has a value."""
         values = [evaluator(key.value) for key in keys]
-        known = [False] * len(keys)
+        has_values = [False] * len(keys)
 
         def place(plan: Plan) -> tuple[Any, ...]:
             found: list[tuple[bool, Any]] = []
             for number, (key, value) in enumerate(zip(keys, values, strict=True)):
                 amount: Any = value(plan.values)
-                known[number] = known[number] or amount is not None
+                has_values[number] = has_values[number] or amount is not None
                 found.append((amount is None, 0 if amount is None else -amount if key.descending else amount))
             return (*found, plan.rank)
 
         plans = sorted(search.every_plan(), key=place)
         unordered = [
-            key.value.text for key, is_known in zip(keys, known, strict=True) if plans and not is_known
+            key.value.text for key, is_known in zip(keys, has_values, strict=True) if plans and not is_known
         ]
         count_by_rule: Counter[str] = Counter()
         best = []

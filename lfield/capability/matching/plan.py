@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.matching.condition_evaluator import Facts, Judge
 from lfield.capability.matching.ranking import ONE_TO_ONE, Ranking
 from lfield.capability.model import Equivalence
@@ -24,12 +24,12 @@ class Plan(Struct, eq=False):
 
     Plans are offered in the order of their ranks. For a plan with several agents the three are sets.
     `unknown` has the reasons for attributes without a value. `composition` is the rule that combines several
-    parts, '' for a single agent. `make` creates the offer from the plan and `given` on demand, because most
+    parts, '' for a single agent. `make` creates the offer from the plan and `inputs` on demand, because most
     plans are not offered.
     """
 
     make: Callable[[Plan], Offer]
-    given: tuple[Any, ...]
+    inputs: tuple[Any, ...]
     rank: Rank
     values: Facts
     unknown: Mapping[str, str]
@@ -76,7 +76,7 @@ def satisfying(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]
 
 
 #: Cached, because every offer uses the same few names.
-_field = cache(ways.equivalent)
+_field = cache(realisations.equivalent)
 
 
 def substitute(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
@@ -84,12 +84,12 @@ def substitute(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
     cost, rules, names, end = behind.rank
     cost = ranking.by_rule(cost, rule.loss)
     rank = (cost, rules + 1, (rule.name, *names), end)
-    given = rule, behind, ranking
-    return Plan(_equivalent, given, rank, behind.values, behind.unknown, behind.composition)
+    inputs = rule, behind, ranking
+    return Plan(_equivalent, inputs, rank, behind.values, behind.unknown, behind.composition)
 
 
 def _equivalent(plan: Plan) -> Offer:
-    rule, behind, ranking = plan.given
+    rule, behind, ranking = plan.inputs
     inner, field = behind.offer, _field(rule.name)
     return Offer(
         rule.serves,

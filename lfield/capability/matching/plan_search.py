@@ -1,8 +1,8 @@
 """Lazy best-first search over an AND/OR graph of plans.
 
-A primitive is served by one of its ways (OR), a composition by all of its parts (AND). Every node is a lazy
-stream of plans in the order of their cost. A primitive merges its ways by a heap with a lower bound of the
-cost of each, so that expensive ways are never started; a composition joins its parts by the sum of their
+A primitive is served by one of its realisations (OR), a composition by all of its parts (AND). Every node is
+a lazy stream of plans in the order of their cost. A primitive merges them by a heap with a lower bound of the
+cost of each, so that expensive ones are never started; a composition joins its parts by the sum of their
 costs. Nodes are shared: each is computed once for a primitive and the number of rules that may still be
 chained.
 """
@@ -68,7 +68,7 @@ class _Route(Struct, frozen=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The rules of the way, in their order for ties."""
+        """The rules of the realisation, in their order for ties."""
         whole = () if self.assembly is None else (self.assembly.rule.name,)
         return (*(rule.name for rule in self.chain), *whole)
 
@@ -92,7 +92,7 @@ class Search:
         self.primitive, self.constraint = primitive, constraint
         self.conditions: Conditions = () if constraint is None else conjuncts(constraint)
         #: The parts of the query that affect the cost of an agent.
-        self.context = CostContext(attributes_of(constraint).union(also_named), team.here())
+        self.context = CostContext(attributes_of(constraint).union(also_named), team.location())
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
         #: Compositions of which only the best are offered.
@@ -142,18 +142,18 @@ class Search:
     def count(self) -> int:
         """The number of `plans`, without making those of single agents."""
         wholes: dict[str, list[Iterator[Plan]]] = {}
-        found = 0
+        total = 0
         for route in self._routes(self.primitive, self.limits.depth, NOTHING):
             if route.assembly is None:
                 agents = self.agents(_end(route.chain, self.primitive))
                 rule_conditions = _rule_conditions(route.chain)
                 plans = satisfying(agents, judges((*rule_conditions, *self.conditions)))
-                found += sum(1 for _ in plans) if rule_conditions or self.conditions else len(agents)
+                total += sum(1 for _ in plans) if rule_conditions or self.conditions else len(agents)
             else:
                 plans = self._plans(route, self.primitive, self.limits.depth, NOTHING, self.conditions)
                 wholes.setdefault(route.assembly.rule.name, []).append(plans)
         limit = self.limits.per_rule
-        return found + sum(len(list(islice(joined(*plans), limit))) for plans in wholes.values())
+        return total + sum(len(list(islice(joined(*plans), limit))) for plans in wholes.values())
 
     def every_plan(self) -> Iterator[Plan]:
         """All plans that fulfil the constraint, of compositions as many as may be tried; in no order."""
@@ -250,19 +250,19 @@ class Search:
             self.cut.add(assembly.rule.name)
 
     def _routes(self, primitive: str, depth: int, used: Used) -> list[_Route]:
-        """All ways to a primitive, in the order in which they win ties."""
-        found = []
+        """All realisations of a primitive, in the order in which they win ties."""
+        routes = []
         for chain in self.rules.chains(primitive):
             if len(chain) > depth:
                 break
             end = _end(chain, primitive)
             if own := self.agents(end):
-                found.append(_Route(chain, None, self._by_chain(chain, own[0].cost)))
+                routes.append(_Route(chain, None, self._by_chain(chain, own[0].cost)))
             for assembly in self.rules.compositions(end) if len(chain) < depth else ():
                 least_cost = assembly.least_cost(self._least_costs)
                 if least_cost is not None and assembly.rule.name not in used:
-                    found.append(_Route(chain, assembly, self._by_chain(chain, least_cost)))
-        return sorted(found, key=lambda route: (len(route.names), route.names))
+                    routes.append(_Route(chain, assembly, self._by_chain(chain, least_cost)))
+        return sorted(routes, key=lambda route: (len(route.names), route.names))
 
     def _by_chain(self, chain: Chain, cost: float) -> float:
         """The cost of an offer by a chain, from the cost at its end."""
@@ -273,7 +273,7 @@ class Search:
     def _plans(
         self, route: _Route, primitive: str, depth: int, used: Used, conditions: Conditions
     ) -> Iterator[Plan]:
-        """The plans of one way that fulfil the conditions of its rules and of the query."""
+        """The plans of one realisation that fulfil the conditions of its rules and of the query."""
         all_conditions = (*_rule_conditions(route.chain), *conditions)
         behind: Iterable[Plan]
         if route.assembly is None:

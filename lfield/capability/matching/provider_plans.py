@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.matching.condition_evaluator import conjuncts, evaluator
 from lfield.capability.matching.failure_reasons import failure_reasons
 from lfield.capability.matching.plan import Plan, satisfying
@@ -20,7 +20,7 @@ class CostContext(Struct, frozen=True):
     """The parts of a query that affect the cost of an agent: its attributes and its position."""
 
     named: frozenset[str] = frozenset()
-    here: Position | None = None
+    location: Position | None = None
 
 
 class ProviderPlans:
@@ -35,7 +35,7 @@ class ProviderPlans:
         self._judges = [evaluator(c) for c in conjuncts(served.when)] if served.when else []
         self._ranking = ranking
         self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
-        self._field = ways.direct(provider.type)
+        self._field = realisations.direct(provider.type)
         self._own = served.attributes.keys()
         self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
         nominal = served.nominal | (provider.nominal - served.attributes.keys())
@@ -53,7 +53,7 @@ class ProviderPlans:
 
     def plans(self, candidates: Iterable[Candidate], context: CostContext) -> list[Plan]:
         """The plans of the candidates that can serve the primitive now."""
-        able = (c for c in candidates if not c.refusal and self.primitive not in c.barred)
+        able = (c for c in candidates if not c.refusal and self.primitive not in c.denials)
         found = [self.plan(candidate, context) for candidate in able]
         return list(satisfying(found, self._judges)) if self._judges else found
 
@@ -61,7 +61,7 @@ class ProviderPlans:
         """The reasons why a candidate cannot serve the primitive under any condition; () when it can."""
         if candidate.refusal:
             return (candidate.refusal,)
-        if reason := candidate.barred.get(self.primitive):
+        if reason := candidate.denials.get(self.primitive):
             return (reason,)
         if self._when is None:
             return ()
@@ -73,23 +73,23 @@ class ProviderPlans:
         if context is not self._context:
             self._set_context(context)
         cached = self._cached.get(candidate.agent)
-        if cached is None or cached.given[0] is not candidate:
+        if cached is None or cached.inputs[0] is not candidate:
             cached = self._cached[candidate.agent] = self._make_plan(candidate)
         return cached
 
     def _set_context(self, context: CostContext) -> None:
         """Sets the query: its attributes, whose ages count, and its position, for distances."""
         counted = self._ranking.counted(self.primitive, context.named)
-        if self._context is None or (counted, context.here) != (self._counted, self._context.here):
+        if self._context is None or (counted, context.location) != (self._counted, self._context.location):
             self._cached.clear()
-            self._costing = self._ranking.agents(self.primitive, context.here)
+            self._costing = self._ranking.agents(self.primitive, context.location)
         self._context, self._counted = context, counted
 
     def _make_plan(self, candidate: Candidate) -> Plan:
         # Written out, because a thousand agents come through here in a query.
-        known, live, unknown = self._counting(candidate.facts), self._live, candidate.unknown
+        facts, live, unknown = self._counting(candidate.facts), self._live, candidate.unknown
         values = self._stated(candidate).copy()
-        for name, fact in known.items():
+        for name, fact in facts.items():
             value = values[name] = fact.value
             too_old = name in live and fact.age > live[name]
             if too_old or (type(value) is float and not math.isfinite(value)):
@@ -98,8 +98,8 @@ class ProviderPlans:
             values.pop(name, None)
         staleness = 0.0
         for name, limit in self._counted.items():
-            if name in known and known[name].age > staleness * limit:
-                staleness = known[name].age / limit
+            if name in facts and facts[name].age > staleness * limit:
+                staleness = facts[name].age / limit
         cost, amounts = self._costing(values, candidate.hops, staleness)
         rank = cost, 0, (), (candidate.number,)
         return Plan(self._make, (candidate, amounts), rank, values, unknown)
@@ -124,7 +124,7 @@ class ProviderPlans:
         return {name: f for name, f in facts.items() if f.of != "told" or name not in self._own}
 
     def _offer(self, plan: Plan) -> Offer:
-        candidate, amounts = plan.given
+        candidate, amounts = plan.inputs
         facts = {**self._facts, **self._counting(candidate.facts), **candidate.stated}
         facts = {name: fact for name, fact in facts.items() if name not in plan.unknown}
         return Offer(

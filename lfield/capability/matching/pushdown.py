@@ -320,8 +320,8 @@ def _pieces(tree: condition_tree.ConditionExpr) -> Iterator[condition_tree.Condi
         case condition_tree.ConditionBinary(operator="<" | "<=" | ">" | ">=" as sign, left=left, right=right):
             if isinstance(right, condition_tree.ConditionCall):
                 left, right, sign = right, left, _MIRRORED[sign]  # type: ignore[assignment]
-            least = "min" if sign in (">", ">=") else "max"
-            if isinstance(left, condition_tree.ConditionCall) and left.function.span.text == least:
+            function = "min" if sign in (">", ">=") else "max"
+            if isinstance(left, condition_tree.ConditionCall) and left.function.span.text == function:
                 for argument in left.arguments:
                     yield from _pieces(replace(tree, operator=sign, left=argument, right=right))
             else:

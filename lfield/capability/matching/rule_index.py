@@ -1,4 +1,4 @@
-"""The ways to a primitive: providers, chains of one-to-one rules, and compositions at their ends.
+"""The realisations of a primitive: providers, chains of one-to-one rules, and compositions at their ends.
 
 A chain passes no primitive twice: its continuation is already offered at the first. A subsumption does not
 follow another one, because a third one makes the same step at once.
@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import islice
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.matching.assembly import Assembly
 from lfield.capability.matching.provider_plans import ProviderPlans
 from lfield.capability.matching.ranking import Ranking
@@ -29,7 +29,7 @@ class RuleIndex:
     """The rules of a registry by the primitive they serve, always in the order of their names.
 
     `agents` returns the agents of a resource type. `open_ways` are the fields a program was compiled with by
-    primitive; None leaves all ways open.
+    primitive; None leaves all realisations open.
     """
 
     def __init__(
@@ -51,15 +51,15 @@ class RuleIndex:
         self._inside: dict[str, frozenset[str]] = {}
         for _, provider in sorted(registry.providers.items()):
             for name in provider.serves:
-                if self._is_open(name, ways.direct(provider.type)):
+                if self._is_open(name, realisations.direct(provider.type)):
                     provided = ProviderPlans(name, provider, registry.attributes, self.ranking)
                     self._providers[name].append(provided)
         for _, rule in sorted(registry.equivalences.items()):
-            if self._is_open(rule.serves, ways.equivalent(rule.name)):
+            if self._is_open(rule.serves, realisations.equivalent(rule.name)):
                 self._equivalences[rule.serves].append(rule)
                 self._equivalences_by_source[rule.by].append(rule)
         for _, composition in sorted(registry.compositions.items()):
-            if self._is_open(composition.serves, ways.composed(composition.name)):
+            if self._is_open(composition.serves, realisations.composed(composition.name)):
                 self._compose(Assembly(composition, self.ranking))
 
     def _compose(self, assembly: Assembly) -> None:

@@ -2,7 +2,7 @@
 
     class Lift coordinator specific {
         private Offer facts;
-        private Crane byCrane;              // one field for every way in which it can be served (ways.py)
+        private Crane byCrane;              // one field for every realisation (realisations.py)
         private Climb as_climb_lifts;
 
         public real lift(real height) {
@@ -13,9 +13,9 @@
             }
             ...
 
-Of an offer only the fields of its way are filled, so a call behaves as one that the program writes itself: it
-migrates, throws and returns as the portal of the resource does. The ways are those that this program can
-have: by the resources it names, and by the rules whose needs such resources serve.
+Of an offer only the fields of its realisation are filled, so a call behaves as one that the program writes
+itself: it migrates, throws and returns as the portal of the resource does. The realisations are those that
+this program can have: by the resources it names, and by the rules whose needs such resources serve.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.model import (
     Argument,
     Composition,
@@ -67,12 +67,12 @@ def classes(
 
     Primitives whose name is `reserved` by another unit of the program do not exist in it.
     """
-    served = UsableWays(registry, resources, reserved)
+    served = UsableRealisations(registry, resources, reserved)
     return [Source(f"{name}.L", class_text(served, name)) for name in served.reached(requested)]
 
 
-class UsableWays:
-    """The ways of a registry that a program with certain resources can have."""
+class UsableRealisations:
+    """The realisations of a registry that a program with certain resources can have."""
 
     def __init__(
         self, registry: Registry, resources: Collection[str], reserved: Collection[str] = ()
@@ -98,14 +98,14 @@ class UsableWays:
         """The one-to-many rules that serve a primitive."""
         return [r for r in self._compositions if r.serves == primitive and self._has_all(r)]
 
-    def all_ways(self) -> dict[str, frozenset[str]]:
-        """The ways of every primitive: the fields that its class has, or would have."""
+    def all_realisations(self) -> dict[str, frozenset[str]]:
+        """The realisations of every primitive: the fields that its class has, or would have."""
         return {name: frozenset(self._field_names(name)) for name in self.primitives}
 
     def _field_names(self, primitive: str) -> Iterator[str]:
-        yield from (ways.direct(provider.type) for provider in self.providers(primitive))
-        yield from (ways.equivalent(rule.name) for rule in self.equivalences(primitive))
-        yield from (ways.composed(rule.name) for rule in self.compositions(primitive))
+        yield from (realisations.direct(provider.type) for provider in self.providers(primitive))
+        yield from (realisations.equivalent(rule.name) for rule in self.equivalences(primitive))
+        yield from (realisations.composed(rule.name) for rule in self.compositions(primitive))
 
     def reached(self, requested: Iterable[str]) -> list[str]:
         """The requested primitives and their substitutes, in order of their names."""
@@ -137,7 +137,7 @@ class UsableWays:
         return all(need.primitive in self._usable for need in rule.needs.values())
 
 
-def class_text(served: UsableWays, name: str) -> str:
+def class_text(served: UsableRealisations, name: str) -> str:
     """The class of one primitive."""
     primitive = served.primitives[name]
     lines = [
@@ -156,18 +156,18 @@ def class_text(served: UsableWays, name: str) -> str:
     return "\n".join([*lines, "}", ""])
 
 
-def _fields(served: UsableWays, primitive: Primitive) -> Iterator[str]:
+def _fields(served: UsableRealisations, primitive: Primitive) -> Iterator[str]:
     for provider in served.providers(primitive.name):
-        yield f"private {provider.type} {ways.direct(provider.type)};"
+        yield f"private {provider.type} {realisations.direct(provider.type)};"
     for rule in served.equivalences(primitive.name):
-        yield f"private {rule.by} {ways.equivalent(rule.name)};"
+        yield f"private {rule.by} {realisations.equivalent(rule.name)};"
     for whole in served.compositions(primitive.name):
-        yield f"private {whole.through} {ways.composed(whole.name)};"
+        yield f"private {whole.through} {realisations.composed(whole.name)};"
         for need in whole.needs.values():
-            yield f"private {need.primitive} {ways.part(whole.name, need.name)};"
+            yield f"private {need.primitive} {realisations.part(whole.name, need.name)};"
 
 
-def _portal(served: UsableWays, primitive: Primitive, portal: Portal) -> Iterator[str]:
+def _portal(served: UsableRealisations, primitive: Primitive, portal: Portal) -> Iterator[str]:
     """The method of a portal: it calls through the one field that is not null."""
     yield f"// {_comment(portal.meaning or portal.name)}" + (f" ({portal.unit})" if portal.unit else "")
     for parameter in portal.parameters:
@@ -177,9 +177,9 @@ def _portal(served: UsableWays, primitive: Primitive, portal: Portal) -> Iterato
     yield f"public {portal.result} {portal.name}({parameters}) {{"
     for provider in served.providers(primitive.name):
         mapped = provider.serves[primitive.name].portals[portal.name]
-        yield from _indented(_branch(ways.direct(provider.type), portal, mapped))
+        yield from _indented(_branch(realisations.direct(provider.type), portal, mapped))
     for rule in served.equivalences(primitive.name):
-        yield from _indented(_branch(ways.equivalent(rule.name), portal, rule.portals[portal.name]))
+        yield from _indented(_branch(realisations.equivalent(rule.name), portal, rule.portals[portal.name]))
     for whole in served.compositions(primitive.name):
         yield from _indented(_composed(whole, portal))
     yield f'    throw new NullException("this {primitive.name} is no offer of the team");'
@@ -187,7 +187,7 @@ def _portal(served: UsableWays, primitive: Primitive, portal: Portal) -> Iterato
 
 
 def _branch(field: str, portal: Portal, mapped: PortalMap) -> Iterator[str]:
-    """The code of one way: the mapped call, and the result for the caller."""
+    """The code of one realisation: the mapped call, and the result for the caller."""
     arguments = ", ".join(map(_argument_text, mapped.arguments))
     call = f"{field}.{mapped.target}({arguments})"
     result = mapped.result
@@ -206,7 +206,7 @@ def _branch(field: str, portal: Portal, mapped: PortalMap) -> Iterator[str]:
 
 def _composed(rule: Composition, portal: Portal) -> Iterator[str]:
     """The call of a composition, which has the portals of the primitive itself, so no mapping is needed."""
-    first = ways.part(rule.name, next(iter(rule.needs)))
+    first = realisations.part(rule.name, next(iter(rule.needs)))
     call = f"{_maker_name(rule)}().{portal.name}({', '.join(p.name for p in portal.parameters)})"
     steps = [f"{call};", "return;"] if portal.result == "void" else [f"return {call};"]
     yield f"if ({first} != null) {{"
@@ -216,8 +216,8 @@ def _composed(rule: Composition, portal: Portal) -> Iterator[str]:
 
 def _maker(rule: Composition) -> Iterator[str]:
     """The method that combines the parts, at the first call."""
-    field = ways.composed(rule.name)
-    parts = ", ".join(ways.part(rule.name, need) for need in rule.needs)
+    field = realisations.composed(rule.name)
+    parts = ", ".join(realisations.part(rule.name, need) for need in rule.needs)
     yield f"private {rule.through} {_maker_name(rule)}() {{"
     yield f"    if ({field} == null) {field} = new {rule.through}({parts});"
     yield f"    return {field};"
@@ -225,7 +225,7 @@ def _maker(rule: Composition) -> Iterator[str]:
 
 
 def _maker_name(rule: Composition) -> str:
-    return f"whole_{ways.identifier(rule.name)}"
+    return f"whole_{realisations.identifier(rule.name)}"
 
 
 def _argument_text(argument: Argument) -> str:

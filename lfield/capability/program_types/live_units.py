@@ -47,7 +47,7 @@ def _settled(
     provider: Provider,
     devices: Mapping[str, str],
     manifests: Mapping[str, DeviceManifest],
-    found: Diagnostics,
+    diagnostics: Diagnostics,
 ) -> Provider:
     live_attributes = {}
     for name, live in provider.live.items():
@@ -56,9 +56,11 @@ def _settled(
             continue
         manifest = manifests.get(devices.get(live.device, ""))
         if manifest is None:
-            found.add(_no_device(provider, live, [name for name in devices if devices[name] in manifests]))
+            diagnostics.add(
+                _no_device(provider, live, [name for name in devices if devices[name] in manifests])
+            )
             continue
-        settled = _from_device(registry.attributes[name], live, manifest, found)
+        settled = _from_device(registry.attributes[name], live, manifest, diagnostics)
         if settled is not None:
             live_attributes[name] = settled
     return replace(provider, live=live_attributes)
@@ -72,13 +74,13 @@ def _no_device(provider: Provider, live: LiveAttribute, devices: Sequence[str]) 
 
 
 def _from_device(
-    attribute: Attribute, live: LiveAttribute, manifest: DeviceManifest, found: Diagnostics
+    attribute: Attribute, live: LiveAttribute, manifest: DeviceManifest, diagnostics: Diagnostics
 ) -> LiveAttribute | None:
     """One live attribute with its telemetry; None after a mistake."""
     quantities = {quantity.name: quantity for quantity in manifest.telemetry}
     quantity = quantities.get(live.quantity)
     if quantity is None:
-        found.add(
+        diagnostics.add(
             messages.NO_QUANTITY.at(
                 live.span,
                 hint=did_you_mean(live.quantity, quantities),
@@ -90,7 +92,7 @@ def _from_device(
         )
         return None
     if element(quantity.type, live.index) not in COMPATIBLE_TYPES[attribute.type]:
-        found.add(
+        diagnostics.add(
             messages.WRONG_QUANTITY.at(
                 live.span,
                 attribute=attribute.name,
@@ -100,7 +102,7 @@ def _from_device(
             )
         )
         return None
-    return _converted(attribute, live, quantity, found)
+    return _converted(attribute, live, quantity, diagnostics)
 
 
 def element(type: str, index: int | None) -> str:

@@ -110,7 +110,7 @@ def _feed_problems(registry: Registry, live: LiveAttribute, resource: Signature)
     return []
 
 
-def check_feed_portals(registry: Registry, program: Program, found: Diagnostics) -> None:
+def check_feed_portals(registry: Registry, program: Program, diagnostics: Diagnostics) -> None:
     """Report portals with side effects that are sources of attributes: a host calls them periodically."""
     acting = effectful_methods(program)
     acts = {
@@ -121,7 +121,7 @@ def check_feed_portals(registry: Registry, program: Program, found: Diagnostics)
     for provider in registry.providers.values():
         for live in provider.live.values():
             if (provider.type, live.portal) in acts:
-                found.add(messages.LIVE_ACTS.at(live.span, type=provider.type, portal=live.portal))
+                diagnostics.add(messages.LIVE_ACTS.at(live.span, type=provider.type, portal=live.portal))
 
 
 def check_types(
@@ -129,7 +129,7 @@ def check_types(
     mission: Path,
     own: Collection[str],
     find_source: Callable[[str], Path | None],
-    found: Diagnostics,
+    diagnostics: Diagnostics,
 ) -> None:
     """Report providers in the file of a mission that are types neither of its program nor of a library.
 
@@ -141,19 +141,19 @@ def check_types(
     for provider in extended:
         path = find_source(provider.include) if provider.include else None
         if provider.include and path is None:
-            found.add(messages.NO_LIBRARY.at(provider.span, path=provider.include))
+            diagnostics.add(messages.NO_LIBRARY.at(provider.span, path=provider.include))
             continue
         if provider.type in own:
             continue
         if path is None:
             hint = did_you_mean(provider.type, sorted({*own, *others}))
-            found.add(messages.NO_TYPE.at(provider.span, hint=hint, type=provider.type))
+            diagnostics.add(messages.NO_TYPE.at(provider.span, hint=hint, type=provider.type))
         elif provider.type not in (units := _units(path) or {}):
             hint = did_you_mean(provider.type, units) or f"it has {listed(units)}"
             message = messages.NOT_IN_LIBRARY.at(
                 provider.span, hint=hint, path=provider.include, type=provider.type
             )
-            found.add(message)
+            diagnostics.add(message)
 
 
 def _missing_portals(primitive: Primitive, served: ServedPrimitive, resource: Signature) -> list[Diagnostic]:
@@ -208,7 +208,7 @@ def _format_overloads(name: str, overloads: Sequence[Overload]) -> str:
 # --- classes of compositions --------------------------------------------------------------------------
 
 
-def check_classes(registry: Registry, found: Diagnostics) -> None:
+def check_classes(registry: Registry, diagnostics: Diagnostics) -> None:
     """Report compositions whose class in L is not there, lacks portals, or cannot be made of the parts.
 
     Reads the sources. Other mistakes in them are reported when a program uses them.
@@ -219,9 +219,9 @@ def check_classes(registry: Registry, found: Diagnostics) -> None:
             continue
         unit = units.get(rule.through)
         if unit is None or unit.kind != "class" or unit.usage != "coordinator":
-            found.add(messages.NO_CLASS.at(rule.span, file=rule.source.name, name=rule.through))
+            diagnostics.add(messages.NO_CLASS.at(rule.span, file=rule.source.name, name=rule.through))
         else:
-            _check_class(rule, registry.primitives[rule.serves], unit, found)
+            _check_class(rule, registry.primitives[rule.serves], unit, diagnostics)
 
 
 def _units(path: Path) -> dict[str, Signature] | None:
@@ -234,18 +234,18 @@ def _units(path: Path) -> dict[str, Signature] | None:
     return None if file.broken else signatures_of([file])
 
 
-def _check_class(rule: Composition, primitive: Primitive, unit: Signature, found: Diagnostics) -> None:
+def _check_class(rule: Composition, primitive: Primitive, unit: Signature, diagnostics: Diagnostics) -> None:
     lacking = [portal for portal in primitive.portals.values() if not _has_method(unit, portal)]
     if lacking:
         signatures = listed(f"public {_method(portal)}" for portal in lacking)
         message = messages.NO_METHOD.at(
             rule.span, name=unit.name, primitive=primitive.name, signatures=signatures
         )
-        found.add(message)
+        diagnostics.add(message)
     parts = tuple(need.primitive for need in rule.needs.values())
     if parts not in unit.constructors:
         signature = f"public {written(unit.name, parts)}"
-        found.add(messages.NO_CONSTRUCTOR.at(rule.span, name=unit.name, signature=signature))
+        diagnostics.add(messages.NO_CONSTRUCTOR.at(rule.span, name=unit.name, signature=signature))
 
 
 def _has_method(unit: Signature, portal: Portal) -> bool:

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from lfield.capability.condition_compiler import read_query
 from lfield.capability.condition_tree import Mistake
 from lfield.capability.model import Registry
-from lfield.capability.program_types.class_generator import UsableWays, class_text, prelude
+from lfield.capability.program_types.class_generator import UsableRealisations, class_text, prelude
 from lfield.capability.program_types.program_check import check_against, check_classes, satisfied
 from lfield.capability.program_types.query_compiler import numbered_query, read_placeholders
 from lfield.capability.registry_reader.registry_files import is_shipped
@@ -78,7 +78,7 @@ class RegistryTypes:
         return numbered_query(text, sorts, self.registry.attributes)
 
 
-def _served(registry: Registry, units: Mapping[str, Signature]) -> UsableWays:
-    """The ways that a program with these units can have."""
+def _served(registry: Registry, units: Mapping[str, Signature]) -> UsableRealisations:
+    """The realisations that a program with these units can have."""
     resources = {name for name, unit in units.items() if unit.kind == "resource"}
-    return UsableWays(satisfied(registry, units), resources, units.keys())
+    return UsableRealisations(satisfied(registry, units), resources, units.keys())

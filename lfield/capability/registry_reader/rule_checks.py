@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 
 from lfield import units
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.model import Argument, Composition, Equivalence, Portal, PortalMap, Primitive
 from lfield.capability.registry_reader import messages
 from lfield.capability.registry_reader.registry_builder import RegistryBuilder
@@ -131,12 +131,17 @@ def check_ways(builder: RegistryBuilder) -> None:
 def _class_fields(builder: RegistryBuilder) -> Iterator[tuple[str, str, str, Span]]:
     """Primitive, field, the name from which it is derived, and the place of that name."""
     for equivalence in builder.equivalences.values():
-        yield equivalence.serves, ways.equivalent(equivalence.name), equivalence.name, equivalence.span
+        yield (
+            equivalence.serves,
+            realisations.equivalent(equivalence.name),
+            equivalence.name,
+            equivalence.span,
+        )
     for rule in builder.compositions.values():
-        yield rule.serves, ways.composed(rule.name), rule.name, rule.span
+        yield rule.serves, realisations.composed(rule.name), rule.name, rule.span
         for need in rule.needs.values():
             name = f"{rule.name}.{need.name}"
-            yield rule.serves, ways.part(rule.name, need.name), name, need.span
+            yield rule.serves, realisations.part(rule.name, need.name), name, need.span
 
 
 # --- circles -------------------------------------------------------------------------------------------

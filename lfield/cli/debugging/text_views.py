@@ -16,7 +16,7 @@ from lfield.wire.subscription_messages import as_fields
 #: Lines of source before and after the position.
 CONTEXT = 4
 #: Characters of an effect or event that are shown.
-SHOWN = 160
+MAX_LINE = 160
 #: Events that are listed.
 LAST_EVENTS = 10
 _PHASES = {
@@ -96,7 +96,7 @@ def thread_lines(debugger: Debugger) -> list[str]:
 def effect_lines(debugger: Debugger) -> list[str]:
     """The effects of the present turn until now."""
     plain = decode_effects(encode_effects(list(debugger.moment.effects)))
-    return [truncate(escape_line(json.dumps(each, default=repr)), SHOWN) for each in plain]
+    return [truncate(escape_line(json.dumps(each, default=repr)), MAX_LINE) for each in plain]
 
 
 def event_lines(debugger: Debugger) -> list[str]:
@@ -106,7 +106,7 @@ def event_lines(debugger: Debugger) -> list[str]:
         fields = {k: v for k, v in as_fields(event).items() if k not in ("at", "up", "cause", "number")}
         kind = fields.pop("kind")
         values_text = " ".join(f"{name}={value}" for name, value in fields.items())
-        lines.append(truncate(escape_line(f"{event.up:.3f} s  {kind}  {values_text}"), SHOWN))
+        lines.append(truncate(escape_line(f"{event.up:.3f} s  {kind}  {values_text}"), MAX_LINE))
     return lines
 
 

@@ -93,7 +93,7 @@ def _show(args: argparse.Namespace) -> int:
 
 def _show_class(args: argparse.Namespace) -> int:
     """The class of a capability, for a program or for one that has all resources of the registry."""
-    from lfield.capability.program_types.class_generator import UsableWays, class_text
+    from lfield.capability.program_types.class_generator import UsableRealisations, class_text
     from lfield.capability.program_types.registry_types import RegistryTypes
     from lfield.driver.plugins import discover
     from lfield.errors import ProgramError
@@ -104,7 +104,7 @@ def _show_class(args: argparse.Namespace) -> int:
     if args.name not in registry.primitives:
         raise _unknown(registry, args.name)
     if args.program is None:
-        print(class_text(UsableWays(registry, registry.providers), args.name), end="")
+        print(class_text(UsableRealisations(registry, registry.providers), args.name), end="")
         return 0
     found = Diagnostics()
     files = program_files(args.program, discover(), found)

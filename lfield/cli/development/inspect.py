@@ -139,17 +139,17 @@ def _show_mission(file: Path, *, as_json: bool) -> int:
     else:
         mission = load_mission(file)
         data = bundle.encode(mission)
-    found = bundle.contents(data)
+    contents = bundle.contents(data)
     if as_json:
         from lfield.cli.views.inspection_json import mission_data
 
-        signed = _signed(found) if file.suffix == bundle.SUFFIX else None
-        print(json.dumps(mission_data(mission, found, signed)))
+        signed = _signed(contents) if file.suffix == bundle.SUFFIX else None
+        print(json.dumps(mission_data(mission, contents, signed)))
         return 0
-    print(f"bundle    {short_digest(found.digest)} of {mission.name}")
+    print(f"bundle    {short_digest(contents.digest)} of {mission.name}")
     if file.suffix == bundle.SUFFIX:
-        print(f"signed    {_signed(found)}")
-    for part in found.table:
+        print(f"signed    {_signed(contents)}")
+    for part in contents.table:
         print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
     for number, host in enumerate(mission.team.hosts):
         agents = mission.team.members_on(number)
@@ -169,12 +169,12 @@ def _show_mission(file: Path, *, as_json: bool) -> int:
     return 0
 
 
-def _signed(found: BundleContents) -> str:
+def _signed(contents: BundleContents) -> str:
     """The signer of a bundle, verified with the keys on this computer."""
     from lfield.authority.keystore import local_folders, read_trusted
     from lfield.authority.peer_verification import format_time
 
-    if not found.signature:
+    if not contents.signature:
         return "no"
     folders = local_folders(os.environ)
     if not folders:
@@ -183,7 +183,7 @@ def _signed(found: BundleContents) -> str:
     from lfield.authority.bundle_signature import verify_bundle
 
     try:
-        signer, at = verify_bundle(found.digest, found.signature, read_trusted(folders[0]))
+        signer, at = verify_bundle(contents.digest, contents.signature, read_trusted(folders[0]))
     except KeysError as error:
         return f"not verified: {error}"
     return f"by {signer}, {format_time(at)}"

@@ -41,7 +41,7 @@ def _list(*, as_json: bool) -> int:
 
     plugins = discover()
     if as_json:
-        found = {
+        drivers = {
             name: {
                 "package": installed.distribution,
                 "missing": list(installed.plugin.missing),
@@ -52,7 +52,7 @@ def _list(*, as_json: bool) -> int:
             }
             for name, installed in sorted(plugins.by_driver.items())
         }
-        print(json.dumps({"drivers": found, "problems": plugins.problems}, indent=2))
+        print(json.dumps({"drivers": drivers, "problems": plugins.problems}, indent=2))
         return 0
     for name, installed in sorted(plugins.by_driver.items()):
         for device_type, manifest in sorted(installed.manifests.items()):

@@ -107,19 +107,19 @@ async def _set_up(
 
     async with (
         _reachable_devices(devices) as placed,
-        open_devices(drivers, placed, SystemClock(), _print) as found,
+        open_devices(drivers, placed, SystemClock(), _print) as found_devices,
     ):
-        if not any(each.mismatched for each in found):
+        if not any(each.mismatched for each in found_devices):
             print("nothing to do: every device keeps what its binding needs")
             return exit_status.DONE
-        _show(found)
+        _show(found_devices)
         if args.sim:
             print("nothing was written: a simulated device forgets it when it ends")
             return exit_status.FAILED
         if not (args.yes or _confirmed()):
             print("nothing was written")
             return exit_status.FAILED
-        await write_settings(found, folder, _now(), _print)
+        await write_settings(found_devices, folder, _now(), _print)
         print("done: every device keeps what its binding needs")
     return exit_status.DONE
 

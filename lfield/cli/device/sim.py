@@ -84,19 +84,19 @@ def _running() -> dict[Path, dict[str, Any]]:
 
 def _select_fake(target: str, running: Mapping[Path, Mapping[str, Any]]) -> tuple[Path, str]:
     """The simulated device with that name, and the device on it, '' for all. Raises UsageError."""
-    found = []
+    matches = []
     for path, fake in running.items():
         device = target if target in fake["devices"].values() else ""
         if device or target in (fake["kind"], fake["endpoint"]):
-            found.append((path, device))
-    if len(found) == 1:
-        return found[0]
+            matches.append((path, device))
+    if len(matches) == 1:
+        return matches[0]
     names = [
         name for fake in running.values() for name in (fake["endpoint"], *fake["devices"].values()) if name
     ]
     problem = (
-        f"{len(found)} simulated devices are '{target}'"
-        if found
+        f"{len(matches)} simulated devices are '{target}'"
+        if matches
         else f"no running simulated device is '{target}'"
     )
     raise UsageError(f"{problem}; running: {', '.join(names) or 'none'}")

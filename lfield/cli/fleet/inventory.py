@@ -106,18 +106,20 @@ def _check(hosts: Sequence[InventoryHost], keys: Keys | None, *, as_json: bool) 
     from lfield.operator.fleet.address_check import endpoints_of, is_reached
 
     states = asyncio.run(_states([each for host in hosts for each in endpoints_of(host)], keys))
-    found = {host.name: {e: state for e, state in states.items() if e.host == host.name} for host in hosts}
-    reached = {host: is_reached(each.values()) for host, each in found.items()}
+    states_by_host = {
+        host.name: {e: state for e, state in states.items() if e.host == host.name} for host in hosts
+    }
+    reached = {host: is_reached(each.values()) for host, each in states_by_host.items()}
     if as_json:
         data = {
             host: {"reached": reached[host], "addresses": [_state_data(*each) for each in own.items()]}
-            for host, own in found.items()
+            for host, own in states_by_host.items()
         }
         print(json.dumps(data))
     else:
         _print_states(states, has_keys=keys is not None)
         for line in _summary(
-            {host: list(each.values()) for host, each in found.items() if not reached[host]}
+            {host: list(each.values()) for host, each in states_by_host.items() if not reached[host]}
         ):
             print(escape_line(f"lfield: {line}"), file=sys.stderr)
     return exit_status.DONE if all(reached.values()) else exit_status.UNAVAILABLE

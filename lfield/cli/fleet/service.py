@@ -67,8 +67,8 @@ def run(args: argparse.Namespace) -> int:
     if inventory is None:
         raise UsageError("no inventory: 'lfield provision' puts it to /etc/lfield/inventory.yaml")
     host = _own_entry(inventory, args.host)
-    found = keystore.find_keys("host", args.host, args.keys, os.environ)
-    if found is None:
+    keys_folder = keystore.find_keys("host", args.host, args.keys, os.environ)
+    if keys_folder is None:
         raise KeysError(
             f"{args.host} has no keys: 'lfield provision {args.host}' makes and copies them, or name their "
             "directory with --keys"
@@ -78,12 +78,12 @@ def run(args: argparse.Namespace) -> int:
         os.environ[SECTION_VARIABLE] = NETWORK.config.encode()
     # The next service finds a running host by the path in the command line of the host.
     state = versioned_state(args.state or state_dir(), __version__).absolute()
-    folders = [found, state / "keys" / keystore.entry_name(args.host)]
+    folders = [keys_folder, state / "keys" / keystore.entry_name(args.host)]
     peers = {name: each.service_address for name, each in inventory.hosts.items() if name != args.host}
     files = inventory.path.absolute().parent
     up_options = _up_options(args, inventory, state)
     options = ServiceOptions(args.host, state, files, host.service_address, peers, up_options, args.json)
-    credentials = HostCredentials(keystore.read_keys(found, "host"), folders)
+    credentials = HostCredentials(keystore.read_keys(keys_folder, "host"), folders)
     return event_loop.run(run_service(options, credentials))
 
 

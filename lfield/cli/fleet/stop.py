@@ -54,9 +54,9 @@ def run(args: argparse.Namespace) -> int:
         _show(found.stopped, found.checked)
         notice = "nothing was discarded"
         report_unreached(found.errors, ", not stopped" + (f", {notice}" if args.discard else ""))
-        if found.troubles and args.discard:
+        if found.problems and args.discard:
             print(f"{notice}: repeat it when the vehicles have been checked", file=sys.stderr)
-    return exit_status.UNSAFE if found.troubles else failure_status(found.errors)
+    return exit_status.UNSAFE if found.problems else failure_status(found.errors)
 
 
 def _show(stopped: Mapping[str, CommandResult], checked: Mapping[str, str]) -> None:

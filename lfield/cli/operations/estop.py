@@ -81,30 +81,30 @@ def _run(args: argparse.Namespace) -> tuple[int, dict[str, object]]:
     from lfield.operator.client import emergency_stop
     from lfield.operator.targets import display_names
 
-    parties = selected_teams(args, selected_runs(args))
-    names = display_names(parties)
+    targets = selected_teams(args, selected_runs(args))
+    names = display_names(targets)
     if named_mission(args) is None:
-        _print_targets(parties, "lifting" if args.lift else "stopping")
+        _print_targets(targets, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
     goal = "may be released" if args.lift else "safe"
     request = emergency_stop(reason, lift=args.lift)
     try:
-        report = ask_and_print(parties, request, args.keys, names, goal, needs_all=not args.lift)
+        report = ask_and_print(targets, request, args.keys, names, goal, needs_all=not args.lift)
     except KeyboardInterrupt:
         return exit_status.UNSAFE, {}
     waits_for_rest = not (args.lift or args.no_wait)
-    status, in_motion = exit_status_of(parties, report, names, args.keys, waits_for_rest=waits_for_rest)
+    status, in_motion = exit_status_of(targets, report, names, args.keys, waits_for_rest=waits_for_rest)
     return status, _report_data(report.answers, names, in_motion if waits_for_rest else None)
 
 
-def _print_targets(parties: Sequence[TargetTeam], doing: str) -> None:
+def _print_targets(targets: Sequence[TargetTeam], doing: str) -> None:
     from lfield.operator.run_dirs import unreadable_hint
 
-    for party in parties:
+    for target in targets:
         print(
             truncate(
                 escape_line(
-                    f"{doing} {party.id or 'the hosts of the inventory'}: {', '.join(party.addresses)}"
+                    f"{doing} {target.id or 'the hosts of the inventory'}: {', '.join(target.addresses)}"
                 ),
                 _MAX_LINE,
             )
@@ -238,7 +238,7 @@ def _print_not_persisted(answers: Stopped, names: Mapping[HostRef, str]) -> None
 
 
 def watch_safe_states(
-    parties: Sequence[TargetTeam], answers: Stopped, names: Mapping[HostRef, str], keys: Path | None
+    targets: Sequence[TargetTeam], answers: Stopped, names: Mapping[HostRef, str], keys: Path | None
 ) -> tuple[int, InMotion]:
     """Watch the devices until they are at rest, and print those that are not.
 
@@ -249,13 +249,13 @@ def watch_safe_states(
     from lfield.operator.client import observer_transport, own_keys
     from lfield.operator.safe_state_progress import SafeStateProgress
 
-    within = max((_rest_time(run) for party in parties for run in party.runs), default=DEFAULT_REST_TIME)
+    within = max((_rest_time(run) for target in targets for run in target.runs), default=DEFAULT_REST_TIME)
     descent = SafeStateProgress(within, SystemClock().monotonic())
     for place, answer in answers.items():
         if not isinstance(answer, Exception):
             descent.on_stopped(place, answer)
     try:
-        known = {place: at for party in parties for place, at in party.host_refs.items()}
+        known = {place: at for target in targets for place, at in target.host_refs.items()}
         places = {
             place: known[place] for place, answer in answers.items() if not isinstance(answer, Exception)
         }

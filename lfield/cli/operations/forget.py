@@ -26,12 +26,12 @@ def run(args: argparse.Namespace) -> int:
     from lfield.operator.targets import display_names, trusted_targets
     from lfield.operator.team_model.host_model import host_states
 
-    parties = trusted_targets(selected_teams(args, selected_runs(args)))
-    names = display_names(parties)
-    before = host_states(ask_teams(parties, SNAPSHOT, args.keys))
+    targets = trusted_targets(selected_teams(args, selected_runs(args)))
+    names = display_names(targets)
+    before = host_states(ask_teams(targets, SNAPSHOT, args.keys))
     if any(host.linked for host in before.values()):
         require_in_doubt(args.agent, before, names)
-    answers = ask_teams(parties, forget(args.agent), args.keys)
+    answers = ask_teams(targets, forget(args.agent), args.keys)
     given_up = False
     for place, answer in answers.items():
         if not isinstance(answer, Exception) and answer.starts:

@@ -26,8 +26,8 @@ def run(args: argparse.Namespace) -> int:
     from lfield.operator.targets import display_names
 
     with nonblocking_command_output():
-        parties = selected_teams(args, selected_runs(args))
-        names = display_names(parties)
-        replies = ask_and_print(parties, pause(), args.keys, names, "safe")
-        status, _ = exit_status_of(parties, replies, names, args.keys, waits_for_rest=not args.no_wait)
+        targets = selected_teams(args, selected_runs(args))
+        names = display_names(targets)
+        replies = ask_and_print(targets, pause(), args.keys, names, "safe")
+        status, _ = exit_status_of(targets, replies, names, args.keys, waits_for_rest=not args.no_wait)
         return status

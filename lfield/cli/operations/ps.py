@@ -47,11 +47,11 @@ def run(args: argparse.Namespace) -> int:
     from lfield.operator.targets import display_names
     from lfield.operator.team_model.host_model import host_states
 
-    parties = selected_teams(args, runs)
-    answers = ask_teams(parties, FULL_SNAPSHOT if args.json else SNAPSHOT, args.keys)
-    if named_mission(args) is not None and not any(party.runs for party in parties):
+    targets = selected_teams(args, runs)
+    answers = ask_teams(targets, FULL_SNAPSHOT if args.json else SNAPSHOT, args.keys)
+    if named_mission(args) is not None and not any(target.runs for target in targets):
         _require_running(mission_path(args), answers)
-    names = display_names(parties)
+    names = display_names(targets)
     hosts = host_states(answers)
     silent = unanswered_by_name(answers, names)
     if named_mission(args) is None and unreadable_hint():
@@ -59,15 +59,15 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         named = {names[place]: host for place, host in hosts.items()}
         is_team = named_mission(args) is not None or not runs
-        print(json.dumps(status_data(named) if is_team else runs_data(parties, hosts), indent=2))
+        print(json.dumps(status_data(named) if is_team else runs_data(targets, hosts), indent=2))
         return exit_status.UNAVAILABLE if silent else exit_status.DONE
     if named_mission(args) is None and runs:
         run_table.show(runs)
-    for party in parties:
-        if (named_mission(args) is None and runs) or len(parties) > 1:
-            print(f"\n{party.id}" if party.runs else "\nhosts of the inventory")
-        states = by_host(hosts, party)
-        if party.user:
+    for target in targets:
+        if (named_mission(args) is None and runs) or len(targets) > 1:
+            print(f"\n{target.id}" if target.runs else "\nhosts of the inventory")
+        states = by_host(hosts, target)
+        if target.user:
             states = {name: host for name, host in states.items() if host.linked}
         team_status_view.show(states)
     print_unanswered(silent)

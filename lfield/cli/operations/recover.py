@@ -34,9 +34,9 @@ def run(args: argparse.Namespace) -> int:
     from lfield.operator.targets import display_names, trusted_targets
     from lfield.operator.team_model.host_model import host_states
 
-    parties = trusted_targets(selected_teams(args, selected_runs(args)))
-    names = display_names(parties)
-    answers = ask_teams(parties, SNAPSHOT, args.keys)
+    targets = trusted_targets(selected_teams(args, selected_runs(args)))
+    names = display_names(targets)
+    answers = ask_teams(targets, SNAPSHOT, args.keys)
     if all(isinstance(answer, LfieldError) for answer in answers.values()):
         print_unanswered(unanswered({names[place]: answer for place, answer in answers.items()}))
         return exit_status.UNAVAILABLE
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     print("\n".join(map(escape_line, candidate.lines)))
     if not _confirmed(args.agent, names[candidate.host_ref], yes=args.yes):
         return exit_status.FAILED
-    _request_recovery(parties, candidate, names[candidate.host_ref], args.keys)
+    _request_recovery(targets, candidate, names[candidate.host_ref], args.keys)
     return exit_status.DONE
 
 
@@ -61,7 +61,7 @@ def _confirmed(agent: str, host: str, *, yes: bool) -> bool:
 
 
 def _request_recovery(
-    parties: list[TargetTeam], candidate: RecoveryCandidate, host: str, keys: Path | None
+    targets: list[TargetTeam], candidate: RecoveryCandidate, host: str, keys: Path | None
 ) -> None:
     """Raises CoordinatorAlive when the host refuses, AddressError when it does not answer."""
     import asyncio
@@ -70,7 +70,7 @@ def _request_recovery(
     from lfield.operator.observer_link import send_request
 
     address = next(
-        party.host_refs[candidate.host_ref] for party in parties if candidate.host_ref in party.host_refs
+        target.host_refs[candidate.host_ref] for target in targets if candidate.host_ref in target.host_refs
     )
     transport = observer_transport(own_keys([address], keys))
     answer = asyncio.run(

@@ -20,9 +20,9 @@ def run(args: argparse.Namespace) -> int:
     from lfield.operator.client import ask_teams, pause, print_unanswered, unanswered_by_name
     from lfield.operator.targets import display_names
 
-    parties = selected_teams(args, selected_runs(args))
-    names = display_names(parties)
-    answers = ask_teams(parties, pause(lift=True), args.keys)
+    targets = selected_teams(args, selected_runs(args))
+    names = display_names(targets)
+    answers = ask_teams(targets, pause(lift=True), args.keys)
     refused = False
     for place, answer in answers.items():
         if isinstance(answer, Exception):

@@ -56,12 +56,12 @@ def run(args: argparse.Namespace) -> int:
     from lfield.operator.targets import display_names
     from lfield.wire.observer_messages import StartRequest, StartResponse
 
-    parties = selected_teams(args, selected_runs(args))
-    _check_hosts(args.without, parties)
-    names = display_names(parties)
+    targets = selected_teams(args, selected_runs(args))
+    _check_hosts(args.without, targets)
+    names = display_names(targets)
     # The answer comes when the disks of the hosts have the start; a repeated request has no effect.
     request = Request(StartRequest(args.without), StartResponse, 8.0, is_retried=True)
-    answers = ask_teams(parties, request, args.keys)
+    answers = ask_teams(targets, request, args.keys)
     waits = [place for place, answer in answers.items() if _print_start(names[place], answer)]
     left_out = {place: answer for place, answer in answers.items() if place.host not in args.without}
     unreached = unanswered_by_name(left_out, names)
@@ -83,9 +83,9 @@ def _require_one_target() -> None:
         )
 
 
-def _check_hosts(without: list[str], parties: list[TargetTeam]) -> None:
+def _check_hosts(without: list[str], targets: list[TargetTeam]) -> None:
     """Raises UsageError for a host that no team has."""
-    hosts = sorted({place.host for party in parties for place in party.host_refs})
+    hosts = sorted({place.host for target in targets for place in target.host_refs})
     for host in without:
         if host not in hosts:
             hint = did_you_mean(host, hosts) or f"its hosts: {', '.join(hosts)}"

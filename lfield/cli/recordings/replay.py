@@ -163,7 +163,7 @@ def difference_lines(first: FirstDifference) -> list[str]:
     at = utc_time(first.at, 6)
     agent = f", {first.agent} at {first.place}" if first.place else ""
     return [
-        f"first difference: {first.host} at {at} UTC, turn {first.turn}{agent}: {first.what}",
+        f"first difference: {first.host} at {at} UTC, turn {first.turn}{agent}: {first.subject}",
         f"  recorded: {json.dumps(plain(first.recorded))}",
         f"  replayed: {json.dumps(plain(first.replayed))}",
     ]

@@ -57,7 +57,7 @@ def reset_journal(
         for record, where in found.parked.items():
             request = ask_all(observer_transport(keys), {where: others[where]}, forget(record.agent))
             _require_answer(record.agent, asyncio.run(request))
-        event_loop.run(journal.persist(found.pages))
+        event_loop.run(journal.persist(found.records))
         return True
     finally:
         journal.close()

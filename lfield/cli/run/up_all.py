@@ -128,7 +128,7 @@ class _HostProcesses:
         self.width = max(len(host) for host in addresses)
         self.stop_signals = ShutdownSignals(SystemClock(), self.stop_again)
         #: Set when the remaining hosts must stop.
-        self.ending = asyncio.Event()
+        self.stop_event = asyncio.Event()
         #: The exit status of the first host that could not start.
         self.refused = 0
         self.view: LiveView | None = None
@@ -306,7 +306,7 @@ class _HostProcesses:
             self.refused = self.refused or status
         if status not in HOST_STATUSES or status == exit_status.UNKNOWN_OUTCOME:
             # A host that hangs would be waited for forever.
-            self.ending.set()
+            self.stop_event.set()
         return status
 
     def on_exit(self, exited: str) -> None:
@@ -360,8 +360,8 @@ class _HostProcesses:
     async def stop_on_signal(self) -> None:
         """Stop all hosts in order after a signal, and by force after a time-out."""
         waiting = asyncio.create_task(self.stop_signals.first_requested.wait())
-        waiting.add_done_callback(lambda _: self.ending.set())
-        await self.ending.wait()
+        waiting.add_done_callback(lambda _: self.stop_event.set())
+        await self.stop_event.wait()
         self.release()
         running = [host for host, child in self.children.items() if child.returncode is None]
         devices = [device for host in running for device in self.mission.devices_of(host)]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 #: Maximum number of attributes shown of an offer, the most relevant first; `--json` has all.
-SHOWN = 6
+MAX_FACTS = 6
 
 
 # --- as text ------------------------------------------------------------------------------------------
@@ -71,7 +71,7 @@ class _Attributes:
         self._registry = registry
         self._named = attributes_of(question.constraint)
 
-    def describe(self, facts: Mapping[str, Fact], limit: int = SHOWN) -> str:
+    def describe(self, facts: Mapping[str, Fact], limit: int = MAX_FACTS) -> str:
         """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and the number of others."""
         first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
         alike = groupby(first[:limit], key=lambda name: facts[name].source)

@@ -50,7 +50,7 @@ class SourceItem:
 def source_items(source: Source) -> list[SourceItem]:
     """All tokens and comments of a source without syntax errors, in order."""
     text, end = source.text, 0
-    found: list[SourceItem] = []
+    items: list[SourceItem] = []
     for start, stop, kind in _pieces(text, scan(source, Diagnostics()).tokens):
         first = text.rfind("\n", 0, start) + 1
         line = text[first:start]
@@ -66,9 +66,9 @@ def source_items(source: Source) -> list[SourceItem]:
             written = _SPACE.sub("", written).replace(",", ", ")
         indent = width(line[: len(line) - len(line.lstrip())])
         pad = 0 if breaks else column - width(text[first:end])
-        found.append(SourceItem(written, kind, breaks, column, indent, pad))
+        items.append(SourceItem(written, kind, breaks, column, indent, pad))
         end = stop
-    return found
+    return items
 
 
 def width(line: str) -> int:

@@ -76,7 +76,7 @@ class InputRecord(Struct, frozen=True, array_like=True, tag=1):
     """An input, and the decisions of the core (`decisions_of`, or the text for CallStarting)."""
 
     time: float
-    given: GuardInput | CallStarting
+    input: GuardInput | CallStarting
     decisions: msgspec.Raw = msgspec.Raw(b"\x90")
 
 

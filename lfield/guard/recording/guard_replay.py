@@ -40,7 +40,7 @@ class GuardDifference(msgspec.Struct, frozen=True):
     path: Path
     time: float
     wall_time: float
-    given: str
+    input: str
     recorded: str
     replayed: str
 
@@ -100,7 +100,7 @@ class _Replayer:
                 for time, event in pulses_in(record):
                     self._replay_input(time, event, _NOTHING)
             elif isinstance(record, InputRecord):
-                self._replay_input(record.time, record.given, bytes(record.decisions))
+                self._replay_input(record.time, record.input, bytes(record.decisions))
 
     def _replay_input(self, time: float, event: GuardInput | CallStarting, recorded: bytes) -> None:
         self._clock.set(time)

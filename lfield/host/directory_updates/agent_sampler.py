@@ -31,7 +31,7 @@ class DeviceReadings(Protocol):
     def last(self, device: str, quantity: str) -> Observation | None:
         """The last value of a telemetry quantity, however old; None if there is none yet."""
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         """The reason why a device cannot be called now; None when it can."""
 
 
@@ -91,7 +91,7 @@ class AgentSampler:
             return Unavailability("its host does not run it")
         if running.ended:
             return Unavailability(f"died of {running.report.splitlines()[0]}")
-        found = (self._devices.trouble(f"{agent}.{field}") for field in self._fields.get(agent, ()))
+        found = (self._devices.unavailability(f"{agent}.{field}") for field in self._fields.get(agent, ()))
         return next((unavailability for unavailability in found if unavailability), None)
 
     def _sample(self, agent: str, live: LiveAttribute) -> AttributeSample | str:

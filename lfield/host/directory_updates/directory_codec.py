@@ -38,15 +38,15 @@ class DirectoryCodec:
         return DirectoryUpdate(delta.incarnation, delta.since, delta.sequence, agents)
 
     def _encode_agent(self, agent: str, change: AgentCondition, now: float) -> AgentUpdate:
-        places, unavailability = self._places, change.trouble
+        places, unavailability = self._places, change.unavailability
         since = None if unavailability is None else unavailability.since
         lasting = None if since is None else bounded_duration(now - since)
         facts = [
             AttributeUpdate(
                 places[name],
                 sorted(s.value) if isinstance(s.value, frozenset) else s.value,
-                bounded_duration((s.at if s.kept else now) - s.when),
-                s.kept,
+                bounded_duration((s.at if s.is_kept_current else now) - s.when),
+                s.is_kept_current,
                 value_source(s.of),
             )
             for name, s in change.samples.items()

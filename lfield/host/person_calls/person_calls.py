@@ -279,8 +279,8 @@ class PersonCalls(Part):
         self, call: PersonCall, outcome: CallOutcome, kind: str = "", message: str = "", *, value: bytes = b""
     ) -> None:
         order = call.order
-        found = PortalCallResult(order.id, outcome, kind, truncate(message), value)
-        call.result = found
+        result = PortalCallResult(order.id, outcome, kind, truncate(message), value)
+        call.result = result
         del self._active[order.id]
         drop_at = max(call.expires_at, self._clock.monotonic()) + KEEP_ID
         heapq.heappush(self._drops, (drop_at, order.id))
@@ -296,7 +296,7 @@ class PersonCalls(Part):
                     caller=call.caller.label, resource=order.resource, portal=order.portal, outcome=how
                 )
             )
-        self._answer(found)
+        self._answer(result)
         self._drop_old_results()
 
     def _refuse(self, order: PortalCallRequest, caller: PersonCaller, kind: RefusalCode, reason: str) -> None:

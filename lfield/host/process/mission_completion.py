@@ -55,27 +55,31 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
     since = 0.0
     while True:
         host.changed.clear()
-        found = local_outcomes(homes, host.mobility.known_states(), host.mobility.proven_losses(since))
+        outcomes = local_outcomes(homes, host.mobility.known_states(), host.mobility.proven_losses(since))
         is_connected = membership.is_fully_connected(host.clock.monotonic())
         if is_connected:
             host.apply(ContactRestored())
-        if homes.keys() - found.keys() and (membership.ended or not is_connected or host.mobility.has_losses):
+        if homes.keys() - outcomes.keys() and (
+            membership.ended or not is_connected or host.mobility.has_losses
+        ):
             records = await _query_states(host)
             now = host.clock.monotonic()
-            found = judge.resolve(
+            outcomes = judge.resolve(
                 records, _unavailable(host, _unavailable_hosts(host, records, lost_after, unmet))
             )
-            found |= local_outcomes(
+            outcomes |= local_outcomes(
                 homes, host.mobility.known_states(), host.mobility.proven_losses(now - STATUS_MAX_AGE)
             )
         unstartable = host.core.startup.unstartable(membership.ended)
-        found |= {agent: CoordinatorOutcome(agent, "lost", reason) for agent, reason in unstartable.items()}
-        for agent in remembered.pending_agents() | failovers.pending_agents(found):
-            found.pop(agent, None)
-        if not homes.keys() - found.keys() and not await started.find_more():
-            await _broadcast_outcomes(host, found.values())
+        outcomes |= {
+            agent: CoordinatorOutcome(agent, "lost", reason) for agent, reason in unstartable.items()
+        }
+        for agent in remembered.pending_agents() | failovers.pending_agents(outcomes):
+            outcomes.pop(agent, None)
+        if not homes.keys() - outcomes.keys() and not await started.find_more():
+            await _broadcast_outcomes(host, outcomes.values())
             await _wait_for_finality(host, lost_after)
-            return [found[agent] for agent in sorted(homes)]
+            return [outcomes[agent] for agent in sorted(homes)]
         await _wait_for_change(host, ASK_EVERY)
         since = host.clock.monotonic() - STATUS_MAX_AGE
 

@@ -103,7 +103,7 @@ def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...])
     Plain values and tuples are not listed; objects `excluded` by id are neither listed nor entered, `opaque`
     ones are listed only.
     """
-    found: list[object] = []
+    objects: list[object] = []
     visited: set[int] = set(excluded)
     # Tuples have no number, but must be alive while their ids are remembered.
     tuples: list[object] = []
@@ -113,10 +113,10 @@ def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...])
         if isinstance(each, (*PLAIN, Enum, frozenset, type, count)) or id(each) in visited:
             continue
         visited.add(id(each))
-        (tuples if isinstance(each, tuple) else found).append(each)
+        (tuples if isinstance(each, tuple) else objects).append(each)
         if not isinstance(each, opaque):
             stack.extend(reversed(list(children(each))))
-    return found
+    return objects
 
 
 class GraphWriter:

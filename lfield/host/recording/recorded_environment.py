@@ -157,9 +157,9 @@ class RecordedEnvironment:
         """See `DeviceReadings`."""
         return self._note((Question.LAST, device, quantity), self._inner.last(device, quantity))
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         """See `DeviceReadings`."""
-        return self._note((Question.TROUBLE, device), self._inner.trouble(device))
+        return self._note((Question.TROUBLE, device), self._inner.unavailability(device))
 
     def may_be_cancelled(self, agent: str, call: DeviceCallRecord) -> bool:
         """See `Environment`."""
@@ -182,24 +182,24 @@ class RecordedEnvironment:
 
     def reading(self, agent: str, call: DeviceCallRecord) -> Reading | None:
         """See `Environment`."""
-        found = self._inner.reading(agent, call)
+        latest = self._inner.reading(agent, call)
         if not self._turns.in_turn:
-            return found
+            return latest
         key = Question.READING, agent, self._calls[call]
-        if found is None:
+        if latest is None:
             self._note(key, None)
             return None
-        number = next((n for n, each in enumerate(self._readings) if each is found), len(self._readings))
+        number = next((n for n, each in enumerate(self._readings) if each is latest), len(self._readings))
         if number == len(self._readings):
-            self._readings.append(found)
+            self._readings.append(latest)
             self.has_readings = True
-            self._recorded.append((found.word, found.until))
+            self._recorded.append((latest.word, latest.until))
             # The word is recorded at the beginning of a turn, and this turn is under way.
-            self._change(key, number, [number, found.word, found.until])
+            self._change(key, number, [number, latest.word, latest.until])
         elif self._known.get(key) != number:
             # The reading was lost, or was known as the reading of another call.
             self._change(key, number, number)
-        return found
+        return latest
 
     def _change(self, key: tuple[str | int, ...], number: int, answer: object) -> None:
         self._known[key] = number
@@ -218,26 +218,26 @@ class RecordedEnvironment:
         return value
 
 
-def _is_same(known: object, value: object) -> bool:
-    """Whether a replay with `known` computes the same as with `value`.
+def _is_same(previous: object, value: object) -> bool:
+    """Whether a replay with `previous` computes the same as with `value`.
 
     Equal values can differ: 0.0 and -0.0, and 1, 1.0 and True in a sequence.
     """
-    if known is value or type(known) is not type(value):
-        return known is value
+    if previous is value or type(previous) is not type(value):
+        return previous is value
     if type(value) is float:
-        return known == value and (value != 0.0 or copysign(1.0, value) == copysign(1.0, known))
+        return previous == value and (value != 0.0 or copysign(1.0, value) == copysign(1.0, previous))
     match value:
         case DeviceError(device=device, reason=reason, kind=kind):
-            other = cast(DeviceError, known)
+            other = cast(DeviceError, previous)
             return (other.device, other.reason, other.kind) == (device, reason, kind)
         case list() | tuple():
-            others = cast("Sequence[object]", known)
+            others = cast("Sequence[object]", previous)
             return len(value) == len(others) and all(map(_is_same, others, value))
         case Observation():
-            found = cast(Observation, known)
+            found = cast(Observation, previous)
             return found.when == value.when and _is_same(found.value, value.value)
-    return known == value
+    return previous == value
 
 
 def _answer(key: tuple[str | int, ...], value: object) -> RecordedAnswer:

@@ -81,16 +81,16 @@ class StartableRuns:
         return f"{'failed' if last.outcome == 'died' else last.outcome}: {reason}"
 
 
-def is_of_run(generation: int, first: int, known: Iterable[int]) -> bool:
+def is_of_run(generation: int, first: int, generations: Iterable[int]) -> bool:
     """Whether a start belongs to the run that began with start `first`, as far as a host knows.
 
-    `known` are the starts of the coordinator that the host has records of. Recoveries continue the run until
-    the home makes another start.
+    `generations` are the starts of the coordinator that the host has records of. Recoveries continue the run
+    until the home makes another start.
     """
     if generation == first:
         return True
     return (
         generation > first
         and is_recovery(generation)
-        and not any(first < each <= generation and not is_recovery(each) for each in known)
+        and not any(first < each <= generation and not is_recovery(each) for each in generations)
     )

@@ -174,17 +174,17 @@ class OrderReceiver:
             if asker.signed.relay:
                 self._reply(origin, message.id, message.datagram)
 
-    def on_checked(self, checking: PendingCheck, found: VerifiedCertificate | LfieldError) -> None:
+    def on_checked(self, checking: PendingCheck, certificate: VerifiedCertificate | LfieldError) -> None:
         """The result of a check. A forged signature gets no answer."""
         digest = _digest(checking.signed)
         self._checking.discard(digest)
-        if isinstance(found, LfieldError):
+        if isinstance(certificate, LfieldError):
             return
-        self._certificates.add(found)
-        remember_newest(self._verified, digest, found, MAX_ORDERS)
+        self._certificates.add(certificate)
+        remember_newest(self._verified, digest, certificate, MAX_ORDERS)
         if isinstance(checking.origin, Sender):
             self._limits.on_proven(checking.origin, checking.signed.signer)
-        self._on_verified(checking, found)
+        self._on_verified(checking, certificate)
 
     def _may_check(self, checking: PendingCheck) -> bool:
         if _digest(checking.signed) in self._checking:

@@ -192,17 +192,17 @@ class Reservations:
         A later start of a coordinator takes over the reservation of an earlier one. A holder that requests
         again gets a new number: messages about the old one may be in transit.
         """
-        found = self._find(resource, now)
-        if found.holder == start and not found.is_granted:
-            found.is_granted, found.until = found.is_durable, now + self._lease
-            return found.number if found.is_durable else 0
-        free = found.holder is None and not found.queue and not self._busy(resource, start[0])
-        if free or found.can_be_replaced_by(start):
-            self._grant(resource, found, start, now)
+        reservation = self._find(resource, now)
+        if reservation.holder == start and not reservation.is_granted:
+            reservation.is_granted, reservation.until = reservation.is_durable, now + self._lease
+            return reservation.number if reservation.is_durable else 0
+        free = reservation.holder is None and not reservation.queue and not self._busy(resource, start[0])
+        if free or reservation.can_be_replaced_by(start):
+            self._grant(resource, reservation, start, now)
         elif nested or self._wait(resource) <= 0:
-            raise ReservationDenied(RESERVED, self._denial_text(resource, found, now, start))
+            raise ReservationDenied(RESERVED, self._denial_text(resource, reservation, now, start))
         else:
-            self._queue_up(found, _Waiting(start, "take", now + self._wait(resource)))
+            self._queue_up(reservation, _Waiting(start, "take", now + self._wait(resource)))
         return 0
 
     def may_serve(
@@ -215,21 +215,21 @@ class Reservations:
         have to wait. A holder that calls without the number has left its block, and the release message was
         lost or is in transit.
         """
-        found = self._find(resource, now)
+        reservation = self._find(resource, now)
         if number:
-            if found.holder != start or found.number != number:
-                raise ReservationDenied(LOST, self._loss_reason(resource, found, start, number, now))
-            found.until = now + self._lease
+            if reservation.holder != start or reservation.number != number:
+                raise ReservationDenied(LOST, self._loss_reason(resource, reservation, start, number, now))
+            reservation.until = now + self._lease
             return True
-        if found.holder == start and found.is_granted:
-            self._end(resource, found, "it has left the block", now)
-        if found.holder is None and not found.is_claimed_earlier(start):
-            self._leave_queue(found, start)
+        if reservation.holder == start and reservation.is_granted:
+            self._end(resource, reservation, "it has left the block", now)
+        if reservation.holder is None and not reservation.is_claimed_earlier(start):
+            self._leave_queue(reservation, start)
             return True
-        if start in found.late_starts or nested or self._wait(resource) <= 0:
-            self._leave_queue(found, start)
-            raise ReservationDenied(RESERVED, self._denial_text(resource, found, now, start))
-        self._queue_up(found, _Waiting(start, "call", now + self._wait(resource)))
+        if start in reservation.late_starts or nested or self._wait(resource) <= 0:
+            self._leave_queue(reservation, start)
+            raise ReservationDenied(RESERVED, self._denial_text(resource, reservation, now, start))
+        self._queue_up(reservation, _Waiting(start, "call", now + self._wait(resource)))
         return False
 
     def abandon_wait(self, start: StartKey, now: float) -> bool:
@@ -285,17 +285,17 @@ class Reservations:
 
     def tick(self, now: float) -> None:
         """Time has passed, or a portal call has ended: serve the queues."""
-        for resource, found in self._resources.items():
-            self._expire(resource, found, now)
-            for waiting in [waiting for waiting in found.queue if waiting.deadline <= now]:
-                message = self._denial_text(resource, found, now, waiting.start)
-                self._leave_queue(found, waiting.start)
+        for resource, reservation in self._resources.items():
+            self._expire(resource, reservation, now)
+            for waiting in [waiting for waiting in reservation.queue if waiting.deadline <= now]:
+                message = self._denial_text(resource, reservation, now, waiting.start)
+                self._leave_queue(reservation, waiting.start)
                 if waiting.purpose == "take":
                     self._effects.append(DenyWaiter(waiting.start, resource, message))
                 elif not waiting.may_proceed:
-                    found.late_starts.add(waiting.start)
+                    reservation.late_starts.add(waiting.start)
                     self._effects.append(RetryWaiter(waiting.start))
-            self._advance_queue(resource, found, now)
+            self._advance_queue(resource, reservation, now)
 
     def postpone(self, now: float) -> None:
         """The host was stalled: restart all time-outs of holders and waiting coordinators."""
@@ -334,17 +334,17 @@ class Reservations:
         self._effects.append(PersistHolder(resource, found.number, None, is_lazy=True))
         self._advance_queue(resource, found, now)
 
-    def _advance_queue(self, resource: str, found: _Resource, now: float) -> None:
+    def _advance_queue(self, resource: str, reservation: _Resource, now: float) -> None:
         """Resume the first in the queue: a call at once, a reservation when no other call is under way."""
-        for place, waiting in enumerate(found.queue):
-            if found.holder is not None:
+        for place, waiting in enumerate(reservation.queue):
+            if reservation.holder is not None:
                 return
             if waiting.purpose == "take":
                 if place == 0 and not self._busy(resource, waiting.start[0]):
-                    self._grant(resource, found, waiting.start, now)
+                    self._grant(resource, reservation, waiting.start, now)
                 return
             if not waiting.may_proceed:
-                found.queue[place] = replace(waiting, deadline=now + PREEMPT_AFTER, may_proceed=True)
+                reservation.queue[place] = replace(waiting, deadline=now + PREEMPT_AFTER, may_proceed=True)
                 self._effects.append(RetryWaiter(waiting.start))
 
     def _queue_up(self, found: _Resource, waiting: _Waiting) -> None:

@@ -279,18 +279,18 @@ class Startup(Part):
             else:
                 self._team.apply_effects(self._team.mobility.start(agent, self._gate.next_generation))
 
-    def _blocking_reason(self, agent: str, known: list[CoordinatorState]) -> str:
+    def _blocking_reason(self, agent: str, states: list[CoordinatorState]) -> str:
         """The reason why a coordinator of this host is not started now, '' if it may be."""
-        alive = "is alive on another host" if self._gate.is_alive(agent, known) else ""
-        parked = self._gate.parked_on(agent, known)
+        alive = "is alive on another host" if self._gate.is_alive(agent, states) else ""
+        parked = self._gate.parked_on(agent, states)
         elsewhere = (
             f"is parked on {parked} for the program and deployment that it belongs to" if parked else ""
         )
         return (
-            self._team.recovery.restart_blocker(agent, known)
+            self._team.recovery.restart_blocker(agent, states)
             or elsewhere
             or alive
-            or self._shadow_elsewhere(agent, known)
+            or self._shadow_elsewhere(agent, states)
         )
 
     def _shadow_elsewhere(self, agent: str, known: list[CoordinatorState]) -> str:

@@ -143,7 +143,7 @@ def check_new(body: BodyContext, raw: syntax.New, arguments: list[tree.Expr]) ->
         unit, name = body.symbols.unit_of(kind), MAP_CONSTRUCTOR
     if unit is None or kind is UNKNOWN:
         if kind is not UNKNOWN:
-            body.report(messages.NEW_TYPE, place, given=name)
+            body.report(messages.NEW_TYPE, place, operands=name)
         return unknown(raw.span)
     constructor = _chosen(body, place, unit.overloads(name, "constructor"), arguments)
     return unknown(raw.span) if constructor is None else tree.New(raw.span, kind, *constructor)
@@ -168,10 +168,10 @@ def _method(
     place: Span,
     owner: tree.Expr,
     methods: Sequence[tree.Method],
-    given: list[tree.Expr],
+    operands: list[tree.Expr],
 ) -> tree.Expr:
     """A call of a method or, through a proxy, of a portal."""
-    chosen = _chosen(body, place, methods, given)
+    chosen = _chosen(body, place, methods, operands)
     if chosen is None:
         return unknown(raw.span)
     method, arguments = chosen
@@ -202,12 +202,13 @@ def _operation(
     raw: syntax.Call,
     place: Span,
     functions: Sequence[LibraryFunction],
-    given: list[tree.Expr],
+    operands: list[tree.Expr],
     receiver: tree.Expr | None,
 ) -> tree.Expr:
     """A library function or built-in method; its receiver is the first argument of the operation."""
     candidates = [OverloadCandidate(f.name, f.parameters, f) for f in functions]
-    chosen = choose_overload(body.symbols, place, candidates, given, output_hint(functions[0].name, given))
+    hint = output_hint(functions[0].name, operands)
+    chosen = choose_overload(body.symbols, place, candidates, operands, hint)
     if chosen is None:
         return unknown(raw.span)
     function, arguments = chosen
@@ -325,7 +326,7 @@ def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit
         return
     known = method_names(body, kind, unit)
     if not known and unit is None:
-        body.report(messages.NO_MEMBERS, place, given=with_article(kind))
+        body.report(messages.NO_MEMBERS, place, operands=with_article(kind))
         return
     member_kind = {ResourceType: "portal", DeviceType: "instruction"}.get(type(kind), "method")
     listing = choice(name, known, "it has") if known else f"it has no {member_kind}s"
@@ -339,7 +340,7 @@ def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit
 
 
 def find_resource(
-    body: BodyContext, raw: syntax.Call, place: Span, resource: tree.Unit, given: list[tree.Expr]
+    body: BodyContext, raw: syntax.Call, place: Span, resource: tree.Unit, operands: list[tree.Expr]
 ) -> tree.Expr:
     """`findR(id)` or `findR()`; only where resources are visible."""
     if body.unit.usage != "coordinator":
@@ -351,7 +352,7 @@ def find_resource(
         OverloadCandidate(name, (STRING,), proxy),
         OverloadCandidate(name, (), array_of(proxy)),
     ]
-    chosen = choose_overload(body.symbols, place, candidates, given)
+    chosen = choose_overload(body.symbols, place, candidates, operands)
     if chosen is None:
         return unknown(raw.span)
     kind, arguments = chosen

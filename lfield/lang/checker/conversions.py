@@ -126,7 +126,7 @@ class OverloadCandidate(Generic[Chosen]):
 
     name: str
     types: tuple[Type, ...]
-    what: Chosen
+    target: Chosen
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(map(str, self.types))})"
@@ -179,7 +179,7 @@ def choose_overload(
     chosen = best[0]
     for value, expected in zip(arguments, chosen.types, strict=True):
         _note_exception_use(symbols, value, expected)
-    return chosen.what, [widened(v, expected) for v, expected in zip(arguments, chosen.types, strict=True)]
+    return chosen.target, [widened(v, expected) for v, expected in zip(arguments, chosen.types, strict=True)]
 
 
 def _report_mismatch(

@@ -37,22 +37,22 @@ _LITERALS: dict[type, Type] = {bool: BOOLEAN, int: INT, float: REAL, str: STRING
 
 def value(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     """An expression that must have a value."""
-    found = evaluated(body, raw)
-    if found.type == VOID:
-        body.report(messages.VOID_VALUE, found.span, call=_called(raw))
-    elif isinstance(found.type, DeviceType):
-        example = first_instruction(body.symbols, found.type)
-        body.report(messages.DEVICE_USE, found.span, name=found.span.text, instruction=example)
-    elif isinstance(found, tree.LoopName):
-        body.report(messages.LOOP_VALUE, found.span, name=found.span.text)
-    elif isinstance(found, tree.EnumName):
-        name, member = found.enum.name, found.enum.members[0]
-        body.report(messages.ENUM_NAME, found.span, name=name, member=member)
-    elif isinstance(found, tree.This) and body.unit.kind != "class":
-        body.report(messages.THIS_VALUE, found.span, unit=f"a {body.unit.kind}")
+    expression = evaluated(body, raw)
+    if expression.type == VOID:
+        body.report(messages.VOID_VALUE, expression.span, call=_called(raw))
+    elif isinstance(expression.type, DeviceType):
+        example = first_instruction(body.symbols, expression.type)
+        body.report(messages.DEVICE_USE, expression.span, name=expression.span.text, instruction=example)
+    elif isinstance(expression, tree.LoopName):
+        body.report(messages.LOOP_VALUE, expression.span, name=expression.span.text)
+    elif isinstance(expression, tree.EnumName):
+        name, member = expression.enum.name, expression.enum.members[0]
+        body.report(messages.ENUM_NAME, expression.span, name=name, member=member)
+    elif isinstance(expression, tree.This) and body.unit.kind != "class":
+        body.report(messages.THIS_VALUE, expression.span, unit=f"a {body.unit.kind}")
     else:
-        return found
-    return unknown(found.span)
+        return expression
+    return unknown(expression.span)
 
 
 def evaluated(body: BodyContext, raw: syntax.Expr) -> tree.Expr:

@@ -135,17 +135,17 @@ def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
         return _update(body, raw.value)
     if isinstance(raw.value, syntax.Assign):
         return tree.Evaluate(raw.span, assignment(body, raw.value))
-    found = evaluated(body, raw.value)
-    if isinstance(found, tree.Async):
-        body.report(messages.FUTURE_DROPPED, raw.span, type=found.type, call=_call_text(raw.span.text))
+    expression = evaluated(body, raw.value)
+    if isinstance(expression, tree.Async):
+        body.report(messages.FUTURE_DROPPED, raw.span, type=expression.type, call=_call_text(raw.span.text))
         return tree.Evaluate(raw.span, unknown(raw.span))
     if (
         not isinstance(raw.value, syntax.Call | syntax.New | syntax.Async | syntax.Bad)
-        and found.type is not UNKNOWN
+        and expression.type is not UNKNOWN
     ):
         compares = isinstance(raw.value, syntax.Binary) and raw.value.operator == "=="
         body.report(messages.NO_EFFECT, raw.span, hint="did you mean = ?" if compares else None)
-    return tree.Evaluate(raw.span, found)
+    return tree.Evaluate(raw.span, expression)
 
 
 def _call_text(call: str) -> str:

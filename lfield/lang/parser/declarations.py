@@ -45,12 +45,12 @@ def unit(s: TokenStream, kind: UnitKind) -> Unit:
     """A resource, coordinator or class; the stream is at its name."""
     name = s.expect_name(f"the name of the {kind}")
     usage: Usage = _usage(s, kind) if kind == "class" else _USAGES[kind]
-    made = Unit(kind, usage, name.text, name.span)
+    unit = Unit(kind, usage, name.text, name.span)
     if s.at("(", ":", "<") or (s.at_name() and s.at("extends", "implements")):
         _inheritance(s, kind, name.text)
     s.expect("{")
-    members(s, made, name.span)
-    return made
+    members(s, unit, name.span)
+    return unit
 
 
 def _inheritance(s: TokenStream, kind: UnitKind, name: str) -> None:
@@ -127,28 +127,28 @@ class _Modifiers:
 
 
 def _modifiers(s: TokenStream) -> _Modifiers:
-    found = _Modifiers()
-    while not found.portal:
+    modifiers = _Modifiers()
+    while not modifiers.portal:
         # After public or private the word may be any type: `private Report observe()` is not a portal.
-        keyword = (_respelt(s) if found.access is None else None) or s.current.text
+        keyword = (_respelt(s) if modifiers.access is None else None) or s.current.text
         if s.at("public", "private", "protected") and s.ahead(1).text == ":":
             instead = f"write {keyword} before each method, and before each field of a class"
             s.report(messages.FOREIGN_KEYWORD, s.advance().span, keyword=f"{keyword}:", instead=instead)
             s.advance()
-            found.foreign = True
+            modifiers.foreign = True
         elif keyword in _MODIFIERS:
-            found.tokens[keyword] = s.advance()
+            modifiers.tokens[keyword] = s.advance()
         elif keyword == "portal":
             s.advance()
-            found.portal = True
+            modifiers.portal = True
         elif s.at_name() and s.at(*FOREIGN_MODIFIERS) and s.ahead(1).text not in ("(", "=", ";"):
             span = s.advance().span
-            if not found.foreign and s.current.text not in METHOD_WORDS:  # One report is enough.
+            if not modifiers.foreign and s.current.text not in METHOD_WORDS:  # One report is enough.
                 s.report(messages.FOREIGN_KEYWORD, span, keyword=keyword, instead=FOREIGN_MODIFIERS[keyword])
-            found.foreign = True
+            modifiers.foreign = True
         else:
             break
-    return found
+    return modifiers
 
 
 def _respelt(s: TokenStream) -> str | None:

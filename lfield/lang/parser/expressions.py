@@ -105,10 +105,10 @@ def expression(s: TokenStream) -> Expr:
 def _elements(s: TokenStream, start: Span, element_type: TypeName | None) -> Expr:
     """`{a, {b, c}}`."""
     opening = s.advance()
-    found: list[Expr] = []
+    elements: list[Expr] = []
     with s.nested():
-        while not s.at("}") and (not found or s.accept(",")):
-            found.append(expression(s))
+        while not s.at("}") and (not elements or s.accept(",")):
+            elements.append(expression(s))
             if s.at(":"):
                 instead = "a map begins empty: new map<string, int>(), then m[key] = value;"
                 s.report(messages.FOREIGN_OPERATOR, s.current.span, operator=":", instead=instead)
@@ -117,8 +117,8 @@ def _elements(s: TokenStream, start: Span, element_type: TypeName | None) -> Exp
                 s.accept("}")
                 raise SyntaxRecovery
     s.close("}", opening)
-    height = 1 + max((element.height for element in found), default=0)
-    return s.bounded(Elements(start.to(s.previous.span), height, element_type, found))
+    height = 1 + max((element.height for element in elements), default=0)
+    return s.bounded(Elements(start.to(s.previous.span), height, element_type, elements))
 
 
 def parenthesised(s: TokenStream, hint: str | None = None) -> Expr:
@@ -245,16 +245,16 @@ def _lambda(s: TokenStream, arrow: int) -> SyntaxRecovery:
 
 def _postfix(s: TokenStream) -> Expr:
     """A primary expression with its calls, members and indexes."""
-    found = _primary(s)
+    operand = _primary(s)
     while True:
         if s.at("."):
             s.advance()
-            if s.at("init") and isinstance(found, Name) and found.name in FOREIGN_NAMES:
-                raise foreign_init(s, found.name)
+            if s.at("init") and isinstance(operand, Name) and operand.name in FOREIGN_NAMES:
+                raise foreign_init(s, operand.name)
             name = s.expect_name("the name of a member")
-            found = Member(found.span.to(name.span), found.height, found, name.text, name.span)
+            operand = Member(operand.span.to(name.span), operand.height, operand, name.text, name.span)
         elif s.at("("):
-            found = _call(s, found)
+            operand = _call(s, operand)
         elif s.at("["):
             opening = s.advance()
             index = expression(s)
@@ -262,11 +262,11 @@ def _postfix(s: TokenStream) -> Expr:
                 instead = "write a.slice(from, to); for text s.substring(from, to)"
                 raise s.fail(messages.FOREIGN_OPERATOR, operator=":", instead=instead)
             s.close("]", opening)
-            height = max(found.height, 1 + index.height)
-            found = Index(found.span.to(s.previous.span), height, found, index)
+            height = max(operand.height, 1 + index.height)
+            operand = Index(operand.span.to(s.previous.span), height, operand, index)
         else:
-            return found
-        s.bounded(found)
+            return operand
+        s.bounded(operand)
 
 
 def _call(s: TokenStream, function: Expr) -> Expr:

@@ -250,7 +250,7 @@ def _try(s: TokenStream) -> Stmt:
 def _catch_clause(s: TokenStream) -> list[Catch]:
     """One catch; None when its head has a mistake, then its body is skipped."""
     opening = s.advance()
-    found: list[Catch] = []
+    clauses: list[Catch] = []
 
     def head() -> None:
         if not s.at("("):
@@ -263,14 +263,14 @@ def _catch_clause(s: TokenStream) -> list[Catch]:
         if s.at("as") and s.ahead(1).kind is s.current.kind:
             raise s.fail(messages.EXPECTED_SYMBOL, hint=_CATCH, what="')'", found=s.current)
         name = s.expect_name("a name for the exception", _CATCH)
-        found.append(Catch(caught, name.text, name.span, Empty(opening.span)))
+        clauses.append(Catch(caught, name.text, name.span, Empty(opening.span)))
         s.close(")", opening)
 
     is_parsed = s.attempt(head, lambda: s.skip_parentheses(1))
     body = statement(s)
-    for clause in found:
+    for clause in clauses:
         clause.body = body
-    return found if is_parsed else []
+    return clauses if is_parsed else []
 
 
 def _together(s: TokenStream) -> Stmt:
@@ -329,19 +329,19 @@ def _simple(s: TokenStream) -> Stmt:
         if at_wait_until(s):
             return wait_until(s, parenthesised)
         if at_async(s):
-            found = evaluated(s)
+            statement = evaluated(s)
             s.semicolon(semicolon_hint(s))
-            return found
+            return statement
         if keyword in FOREIGN_STATEMENTS and at_foreign_statement(s):
             return foreign_statement(s, keyword)
         if block_ahead(s) and (close := closest(keyword, _HEADS)):
             return _misspelt(s, keyword, close)
-    found = declaration(s) if at_declaration(s) else evaluated(s)
+    statement = declaration(s) if at_declaration(s) else evaluated(s)
     if at_walrus(s):
         raise walrus(s)
     is_division = not s.at(";") and at_floor_division(s)
     s.semicolon(semicolon_hint(s))
-    return BadStmt(found.span) if is_division else found
+    return BadStmt(statement.span) if is_division else statement
 
 
 def _misspelt(s: TokenStream, keyword: str, close: str) -> Stmt:

@@ -158,18 +158,18 @@ class _Reader:
         return self._lines_of(entry, OTHERS if entry.key == OTHERS else "person")
 
     def _right(self, node: YamlNode) -> str:
-        name_text, known = _text(node), f"rights here: {listed(_RIGHTS)}"
+        name_text, hint = _text(node), f"rights here: {listed(_RIGHTS)}"
         if name_text in _RIGHTS:
             return name_text
         if name_text == Right.COMMAND:
             message = "a mission cannot grant the right to sign it: that is in the certificate alone"
-            self._report_error("Y113", message, node.span, known)
+            self._report_error("Y113", message, node.span, hint)
         else:
             message = (
                 f"unknown right '{name_text}'" if name_text else f"a right is a name, not {describe(node)}"
             )
             self._report_error(
-                "Y113" if name_text else "Y112", message, node.span, did_you_mean(name_text, _RIGHTS) or known
+                "Y113" if name_text else "Y112", message, node.span, did_you_mean(name_text, _RIGHTS) or hint
             )
         return ""
 
@@ -213,18 +213,18 @@ class _Reader:
     def _line(self, entry: YamlEntry) -> PortalRule | None:
         """A resource, and its portals that may be called; None with a finding when it is unknown."""
         name, line = entry.key, entry.key_span.line
-        known = None if self._is_starred(entry) else self._resource(entry)
-        if known is None:
+        target = None if self._is_starred(entry) else self._resource(entry)
+        if target is None:
             return None
         items = self._list_nodes(entry, "portals")
         portals: Collection[str] = (
-            () if items is None else [self._portal(item, name, known) for item in items]
+            () if items is None else [self._portal(item, name, target) for item in items]
         )
         chosen = None if items is None else tuple(dict.fromkeys(filter(None, portals)))
-        if known.kind != "capability":
-            return PortalRule(known.kind, name, line, chosen)
-        serving = {type: _served_portals(targets, chosen) for type, targets in known.serving.items()}
-        return PortalRule(known.kind, name, line, (), serving)
+        if target.kind != "capability":
+            return PortalRule(target.kind, name, line, chosen)
+        serving = {type: _served_portals(targets, chosen) for type, targets in target.serving.items()}
+        return PortalRule(target.kind, name, line, (), serving)
 
     def _resource(self, entry: YamlEntry) -> _Resource | None:
         """The meaning of a name."""

@@ -87,8 +87,8 @@ def accept_bundle(
         raise _refused(bundle, str(error)) from None
     verdict = verify_signer(signer, signed_at, at=at, authority=fingerprint, revoked=revoked, runs=runs)
     if verdict.extent != "all":
-        raise _refused(bundle, verdict.why)
-    return Acceptance(replace(bundle, by=str(signer), at=signed_at), verdict.why)
+        raise _refused(bundle, verdict.reason)
+    return Acceptance(replace(bundle, by=str(signer), at=signed_at), verdict.reason)
 
 
 def signing_time(bundle: BundleId, authority: bytes) -> float:

@@ -101,8 +101,8 @@ class CpuBudgets:
         account.flooding_since = min(account.flooding_since, now)
         if now - account.flooding_since >= MAX_EXCESS_TIME:
             return BudgetState.FLOOD
-        debt = (account.level - BURST + HELD_BURST) / CPU_SHARE
-        account.held_until = now + min(debt, LONGEST_HOLD)
+        excess_time = (account.level - BURST + HELD_BURST) / CPU_SHARE
+        account.held_until = now + min(excess_time, LONGEST_HOLD)
         if account.probe_ends is not None:
             # A member can show that it sends no messages only while its link is read.
             account.probe_ends, account.probed = account.held_until + PROBE, 0.0

@@ -85,13 +85,13 @@ def idle_coordinators(mission: ActiveMission, statuses: Mapping[str, ServiceStat
 
     None without a running host, or where the mission of a host has ended in order: others may have ended.
     """
-    known = {host: statuses[host] for host in mission.hosts if host in statuses}
-    running = {host: status for host, status in known.items() if status.run.phase == "running"}
+    known_statuses = {host: statuses[host] for host in mission.hosts if host in statuses}
+    running = {host: status for host, status in known_statuses.items() if status.run.phase == "running"}
     if not running or any(
-        status.run.phase == "ended" and status.run.status == 0 for status in known.values()
+        status.run.phase == "ended" and status.run.status == 0 for status in known_statuses.values()
     ):
         return []
-    found = []
+    coordinators = []
     for agent, home in mission.coordinators.items():
         states = [
             (host, coordinator.state)
@@ -100,10 +100,10 @@ def idle_coordinators(mission: ActiveMission, statuses: Mapping[str, ServiceStat
             if coordinator.agent == agent
         ]
         if states and all(state == "parked" for _, state in states):
-            found.append(IdleCoordinator(agent, states[0][0], is_parked=True))
-        elif not states and (home not in known or known[home].run.phase in DOWN):
-            found.append(IdleCoordinator(agent, home, is_parked=False))
-    return found
+            coordinators.append(IdleCoordinator(agent, states[0][0], is_parked=True))
+        elif not states and (home not in known_statuses or known_statuses[home].run.phase in DOWN):
+            coordinators.append(IdleCoordinator(agent, home, is_parked=False))
+    return coordinators
 
 
 def left_behind(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -> list[str]:

@@ -135,7 +135,7 @@ class OrderDatagrams:
                 self._answers[host].set_result(stopped)
                 return
             case OrderDenied():
-                self._answers[host].set_exception(HandshakeError(f"{host} refused: {result.why}"))
+                self._answers[host].set_exception(HandshakeError(f"{host} refused: {result.reason}"))
                 return
             case OrderConfirmed():
                 reason = f"it has executed the order, and does not say how {result.more} of its devices are"

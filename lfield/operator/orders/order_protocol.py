@@ -58,7 +58,7 @@ FIRST_INTERVAL = 0.06
 SEND_RATE, EXCHANGE = 3000.0, 250.0
 #: Bytes of a datagram besides order and certificate, with IPv6 and UDP headers; and of a certificate in an
 #: answer.
-OVERHEAD, SHOWN = 148, 500
+OVERHEAD, CERTIFICATE_SIZE = 148, 500
 #: The shortest and the longest interval, in seconds; the number of equal intervals, since radio losses are
 #: random; the factor of each further one.
 MIN_INTERVAL, MAX_INTERVAL, EQUAL_INTERVALS, BACKOFF = 0.04, 1.0, 6, 1.5
@@ -387,7 +387,7 @@ class OrderProtocol:
         """Seconds that a slow radio takes for a datagram to each host that has no result, and the answers."""
         waiting = [host for host in self._hosts.values() if host.result is None]
         size = sum(len(host.signed.order) + len(host.certificate) + OVERHEAD for host in waiting)
-        size += sum(SHOWN for host in waiting if host.certificate and host.known is None)
+        size += sum(CERTIFICATE_SIZE for host in waiting if host.certificate and host.known is None)
         trips = [host.trip.mean for host in self._hosts.values() if host.trip.mean is not None]
         return size / max(SEND_RATE, EXCHANGE * len(trips) / max(trips, default=1.0))
 

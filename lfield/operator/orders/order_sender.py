@@ -34,18 +34,18 @@ class OrderSender:
         An order that ends a stop or a pause names no epoch from before: each host reports its own first, as
         in a handshake.
         """
-        found = {host: self.known.host(host) for host in addresses}
+        known_hosts = {host: self.known.host(host) for host in addresses}
         is_hold = message.kind in HOLDS
         asking = OrderProtocol(
             message.kind,
             message.id,
             message.reason if isinstance(message, EmergencyStop) else "",
-            {host: known.epochs if is_hold else Epochs() for host, known in found.items()},
+            {host: known.epochs if is_hold else Epochs() for host, known in known_hosts.items()},
             self._signer,
             self._certificates,
             EarlierContacts(
-                {host: known.trip for host, known in found.items() if known.trip is not None},
-                {host: self._certificate_of(host, known.certificate) for host, known in found.items()},
+                {host: known.trip for host, known in known_hosts.items() if known.trip is not None},
+                {host: self._certificate_of(host, known.certificate) for host, known in known_hosts.items()},
             ),
         )
         datagrams = OrderDatagrams(asking, addresses, self._open_sockets)

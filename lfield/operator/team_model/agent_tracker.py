@@ -213,7 +213,7 @@ class AgentTracker:
         self, host: str, agents: Iterable[AgentStatus], known: Iterable[CoordinatorState], now: float
     ) -> None:
         """Handle the status of all agents from one host. Only its coordinator records have start and hop."""
-        here = {reported.id for reported in agents}
+        reported_ids = {reported.id for reported in agents}
         self._linked.add(host)
         for copy in known:
             self._is_of(copy.agent, "coordinator")
@@ -229,7 +229,8 @@ class AgentTracker:
                 agent.hops, agent.served = max(agent.hops, reported.hops), reported.served
                 agent.set_position(reported.state, agent.file, agent.line, agent.waits)
         for agent in self._known.values():
-            if agent.host == host and agent.entry.agent not in here and not (agent.target or agent.finished):
+            is_reported = agent.entry.agent in reported_ids
+            if agent.host == host and not (is_reported or agent.target or agent.finished):
                 agent.set_position("not reported" if agent.when is not None else "")
 
     def on_startable(self, host: str, names: Iterable[str], now: float) -> None:
@@ -361,32 +362,32 @@ def _on_hop(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
                 agent.on_arrival(host, generation, sequence, when)
 
 
-def _on_record(agent: _Agent, host: str, known: CoordinatorState, now: float) -> None:
+def _on_record(agent: _Agent, host: str, record: CoordinatorState, now: float) -> None:
     """Handle the record of a host about one start."""
-    generation, sequence = known.generation, known.sequence
+    generation, sequence = record.generation, record.sequence
     if agent.knows_newer_than(generation, sequence):
         return
     is_newer = (generation, sequence) > (agent.generation, agent.sequence) or agent.when is None
-    match known.state:
+    match record.state:
         case "RUN":
-            agent.hops, agent.counted = known.hops, True
+            agent.hops, agent.counted = record.hops, True
             if is_newer or agent.host != host or agent.target:
                 agent.set_running(host, generation, sequence, now)
         case "FROZEN" | "PREPARED":
             agent.set_running(host, generation, sequence, now)
-            agent.target = known.where
+            agent.target = record.where
             agent.set_position("on its way")
         case "IN DOUBT":
-            agent.doubt = known.detail or "unknown whether it is alive"
+            agent.doubt = record.detail or "unknown whether it is alive"
         case "MOVED":
             if is_newer:
-                agent.set_running(known.where, generation, sequence, now)
+                agent.set_running(record.where, generation, sequence, now)
         case "EXITED":
-            if known.where in ("", host):
+            if record.where in ("", host):
                 # A record of an end does not contain the number of hops.
-                agent.hops, agent.counted = max(agent.hops, known.hops), True
-            agent.finished, agent.detail = known.outcome or "done", known.detail
-            agent.generation, agent.host, agent.target, agent.doubt = generation, known.where or host, "", ""
+                agent.hops, agent.counted = max(agent.hops, record.hops), True
+            agent.finished, agent.detail = record.outcome or "done", record.detail
+            agent.generation, agent.host, agent.target, agent.doubt = generation, record.where or host, "", ""
             agent.set_position("")
         case "PARKED":
             agent.set_position("parked")

@@ -46,7 +46,7 @@ class _Command:
         pending, done = [], []
         unreached: dict[str, str] = {}
         unconfirmed: dict[str, str] = {}
-        troubles: dict[str, str] = {}
+        problems: dict[str, str] = {}
         for name, answer in self.answers.items():
             host = hosts.get(name)
             is_executed = host is not None and host.linked and _IS_DONE[self.order](host)
@@ -57,7 +57,7 @@ class _Command:
                     device: reason for device, reason in answer.devices.items() if reason and device in unsafe
                 }
                 if answer.trouble:
-                    troubles[name] = answer.trouble
+                    problems[name] = answer.trouble
             elif answer is None:
                 pending.append(name)
             elif is_executed:
@@ -66,7 +66,7 @@ class _Command:
                 unreached[name] = _NOT_DONE if host is not None and host.linked else answer
         age = max(0.0, now - self.when)
         return OrderState(
-            self.number, self.order, age, tuple(pending), tuple(done), unreached, unconfirmed, troubles
+            self.number, self.order, age, tuple(pending), tuple(done), unreached, unconfirmed, problems
         )
 
 

@@ -198,7 +198,7 @@ def host_states(answers: Mapping[K, EventBatch | LfieldError]) -> dict[K, HostSt
 
     A host whose answer has no snapshot counts as one that has not answered.
     """
-    found = {}
+    states = {}
     for key, answer in answers.items():
         host = HostModel("")
         if isinstance(answer, EventBatch) and answer.snapshot is not None:
@@ -208,8 +208,8 @@ def host_states(answers: Mapping[K, EventBatch | LfieldError]) -> dict[K, HostSt
         else:
             error = answer if isinstance(answer, LfieldError) else WireError("the answer has no snapshot")
             host.on_unlinked(str(error), error)
-        found[key] = host.state(0.0)
-    return found
+        states[key] = host.state(0.0)
+    return states
 
 
 def _measured(measurement: LinkStatus | events.LinkTelemetry, before: LinkState = NO_LINK) -> LinkState:

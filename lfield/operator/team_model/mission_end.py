@@ -145,35 +145,35 @@ class MissionEnd:
         self._coordinators |= {row.agent for row in report.coordinators} | known.waiting
         self._coordinators |= {agent.id for agent in report.agents if agent.kind == "coordinator"}
 
-    def _on_event(self, known: _Host, event: object) -> None:
+    def _on_event(self, host: _Host, event: object) -> None:
         match event:
             case events.AgentStarted(agent, generation) | events.CoordinatorRecovered(agent, generation):
-                _set(known, agent, generation, state="RUN")
-                known.waiting -= {agent}
+                _set(host, agent, generation, state="RUN")
+                host.waiting -= {agent}
             case events.MigrationArrived(agent, generation, sequence) | events.MigrationFailed(
                 agent, generation, sequence
             ):
-                _set(known, agent, generation, state="RUN", sequence=sequence)
+                _set(host, agent, generation, state="RUN", sequence=sequence)
             case events.MigrationStarted(agent, generation, sequence, to):
-                _set(known, agent, generation, state="PREPARED", where=to, sequence=sequence)
+                _set(host, agent, generation, state="PREPARED", where=to, sequence=sequence)
             case events.MigrationConfirmed(agent, generation, sequence, to):
-                start = known.starts.get((agent, generation))
+                start = host.starts.get((agent, generation))
                 # The coordinator may be back already.
                 if start is None or (start.state == "PREPARED" and start.sequence == sequence):
-                    _set(known, agent, generation, state="MOVED", where=to, sequence=sequence)
+                    _set(host, agent, generation, state="MOVED", where=to, sequence=sequence)
             case events.MigrationInDoubt(agent, generation, to):
-                _set(known, agent, generation, state="IN DOUBT", where=to)
+                _set(host, agent, generation, state="IN DOUBT", where=to)
             case events.AgentFinished(agent, generation, how, detail):
-                _set(known, agent, generation, state="EXITED", outcome=how, detail=detail)
-                known.ended_now.add((agent, generation))
+                _set(host, agent, generation, state="EXITED", outcome=how, detail=detail)
+                host.ended_now.add((agent, generation))
             case events.CoordinatorSuperseded(agent, generation, reason):
-                _set(known, agent, generation, state="EXITED", outcome="superseded", detail=reason)
+                _set(host, agent, generation, state="EXITED", outcome="superseded", detail=reason)
             case events.StartDelayed(agents):
-                known.waiting = frozenset(filter(None, agents.split(", ")))
+                host.waiting = frozenset(filter(None, agents.split(", ")))
             case events.LinkUp(peer):
-                known.peers.add(peer)
+                host.peers.add(peer)
             case events.LinkDown(peer):
-                known.peers.discard(peer)
+                host.peers.discard(peer)
             case _:
                 pass
 

@@ -14,7 +14,7 @@ from lfield.operator.registry.sheets import value_text
 from lfield.operator.team_query import PrimitiveAnswer
 
 #: Maximum number of attributes shown of an offer; `lfield query --json` has all.
-SHOWN = 6
+MAX_FACTS = 6
 
 
 def query_json(answer: QueryAnswer) -> bytes:
@@ -44,7 +44,7 @@ def _found(found: PrimitiveAnswer, units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _offer(offer: Offer, units: Mapping[str, str]) -> dict[str, Any]:
-    facts = list(offer.facts.items())[:SHOWN]
+    facts = list(offer.facts.items())[:MAX_FACTS]
     return {
         "agent": offer.agent,
         "host": offer.host,

@@ -126,17 +126,17 @@ class Debugger:
 
     def threads(self) -> list[ThreadInfo]:
         """The threads of all hosts. A coordinator in transit is on the host where its newest copy is."""
-        found: dict[ThreadKey, tuple[tuple[int, int, bool], ThreadInfo]] = {}
+        copies: dict[ThreadKey, tuple[tuple[int, int, bool], ThreadInfo]] = {}
         for recording in self.running:
             moment = self.moment_of(recording)
             agents = live_agents(moment)
             for key in thread_keys(moment):
                 agent = agents[key.agent]
                 copy = agent.generation, agent.hops, not agent.frozen
-                if key not in found or copy > found[key][0]:
+                if key not in copies or copy > copies[key][0]:
                     info = ThreadInfo(key, moment.core.name, recording, state_name(moment, key))
-                    found[key] = copy, info
-        return [info for _, info in found.values()]
+                    copies[key] = copy, info
+        return [info for _, info in copies.values()]
 
     def find_thread(self, name: str) -> ThreadInfo | None:
         """A thread by its name, or by the id of its agent."""
@@ -208,7 +208,7 @@ class Debugger:
         scope = WatchScope(moment, [(each.key.agent, each.frame) for each in frames], self.readings)
         expression = WatchExpression(text)
         if (found := expression.variable(scope)) is not None:
-            return scope.plain(found), scope.shown(text, found)
+            return scope.plain(found), scope.described(text, found)
         return expression.value(scope), None
 
     # --- moves ----------------------------------------------------------------------------------------

@@ -130,7 +130,7 @@ class WatchScope:
         """A value with its parts, for comparisons with one at another time."""
         return self._reader(value.agent).content(value[1:])
 
-    def shown(self, name: str, value: FoundValue) -> Variable:
+    def described(self, name: str, value: FoundValue) -> Variable:
         """A value with its texts."""
         return reader_of(self._moment, value.agent).variable(name, value.kind, value.word)
 

@@ -138,7 +138,7 @@ class HostTimeline:
         target.start(run.rest())
         if is_of_readings(target):
             return self._find_reading(run, target, after, before, last=last)
-        found: list[tuple[int, Step | None]] = []
+        candidates: list[tuple[int, Step | None]] = []
         stop = min(self.turns, before[0] + (before[1] > 0))
         while run.turn < stop:
             turn = run.turn
@@ -153,11 +153,11 @@ class HostTimeline:
                 self._idle = run
                 return steps[0]
             if matches and not is_exact:
-                found.append((turn, None))
+                candidates.append((turn, None))
             elif steps:
-                found.append((turn, steps[-1]))
+                candidates.append((turn, steps[-1]))
         self._idle = run
-        for turn, exact in reversed(found):
+        for turn, exact in reversed(candidates):
             if exact is not None:
                 return exact
             if matches := self._matches_in(target, turn):
@@ -168,7 +168,7 @@ class HostTimeline:
         self, run: _Run, target: Target, after: Step, before: Step, *, last: bool
     ) -> Step | None:
         """`find` for readings of devices: they are in the records, so that no replay is needed."""
-        found: Step | None = None
+        match: Step | None = None
         for turn, record in self.recording.turns_from(after[0]):
             if (turn, 0) >= before:
                 break
@@ -176,12 +176,12 @@ class HostTimeline:
                 self._on_progress(turn)
             if isinstance(record, TurnRecord) and (record.answers or record.readings):
                 is_met = target.is_met(run.with_readings_of(record))
-                found = (turn, 0) if is_met and after < (turn, 0) else found
-            if found and not last:
+                match = (turn, 0) if is_met and after < (turn, 0) else match
+            if match and not last:
                 break
         # The readings of that replay are not those of its turn any more.
         self._keep(run)
-        return found
+        return match
 
     def _first_of(self, target: Target, turn: int) -> Step | None:
         matches = self._matches_in(target, turn)

@@ -185,7 +185,7 @@ class TeamTimeline:
 
         The interval at the position includes all turns of its time.
         """
-        found: list[Place] = []
+        matches: list[Place] = []
         for number, (host, times) in enumerate(zip(self.hosts, self.times, strict=True)):
             first, stop = bisect_left(times, low), bisect_left(times, high)
             after: Step = (first, -1)
@@ -196,9 +196,9 @@ class TeamTimeline:
             elif not backward and low == self.time_of(place):
                 after = own if number == place.recording else (self.turn_after(number, place), -1)
             if after < before and (step := host.find(target, after, before, last=backward)):
-                found.append(Place(number, *step))
+                matches.append(Place(number, *step))
         choose = max if backward else min
-        return choose(found, key=self.order_of, default=None)
+        return choose(matches, key=self.order_of, default=None)
 
 
 def _report(on_progress: Callable[[float], None], times: Sequence[float], turn: int) -> None:

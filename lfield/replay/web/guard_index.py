@@ -25,7 +25,18 @@ from lfield.replay.web.recorded_events import EventIndex
 from lfield.wire.events import Event
 
 #: The meanings of quantities that the page shows; others are not kept.
-_SHOWN = ("place", "earth", "heading", "speed", "height", "battery", "mode", "armed", "home", "fence")
+_QUANTITY_MEANINGS = (
+    "place",
+    "earth",
+    "heading",
+    "speed",
+    "height",
+    "battery",
+    "mode",
+    "armed",
+    "home",
+    "fence",
+)
 #: The most points of the track of a vehicle that are kept.
 _MOST_POINTS = 20_000
 
@@ -133,7 +144,7 @@ class GuardIndex:
 
     def _add_value(self, numbers: list[int], value: TelemetryValue) -> None:
         instruments = self._contents.instruments(value.device)
-        if value.quantity not in {getattr(instruments, meaning) for meaning in _SHOWN}:
+        if value.quantity not in {getattr(instruments, meaning) for meaning in _QUANTITY_MEANINGS}:
             return
         number, time = self._team_time(numbers, value.time)
         self._hosts[value.device] = number

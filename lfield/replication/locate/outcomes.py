@@ -186,8 +186,10 @@ class _ClusterQuery:
 
     def _missing_start(self, generation: int) -> CoordinatorOutcome | None:
         """The outcome of a start that no answering host has, by its last known location."""
-        known = {host: [r for r in rows if r.generation == generation] for host, rows in self.records.items()}
-        rows = [row for records in known.values() for row in records]
+        rows_by_host = {
+            host: [r for r in rows if r.generation == generation] for host, rows in self.records.items()
+        }
+        rows = [row for records in rows_by_host.values() for row in records]
         for row in rows:
             if row.state == "EXITED":
                 # This start is proven lost; its home may have started the coordinator again since then.
@@ -198,7 +200,7 @@ class _ClusterQuery:
             return self._lost_unless_elsewhere(f"its last host {where} has ended")
         if where in self.unavailable.silent_for:
             return self._silent(where, f"{movement}, and")
-        rows_there = known.get(where)
+        rows_there = rows_by_host.get(where)
         if rows_there is None or any(row.sequence >= last.sequence for row in rows_there):
             return None
         if self.unavailable.state_ids.get(where) == last.receiver_memory:

@@ -55,18 +55,18 @@ class Overlay:
 
     def links(self, now: float) -> frozenset[str]:
         """The neighbours, and a substitute for each neighbour that does not answer."""
-        found = set(self.neighbours)
+        neighbours = set(self.neighbours)
         since: dict[str, float] = {}
         if not self.neighbours <= self._linked:
             for distance, direction in self._steps:
                 for host in self._ring_from(distance, direction):
-                    found.add(host)
+                    neighbours.add(host)
                     if host in self._linked:
                         break
                     since[host] = self._since.get(host, now)
                     if now - since[host] < REPLACE_AFTER:
                         break
-        self._since, self.chosen = since, frozenset(found)
+        self._since, self.chosen = since, frozenset(neighbours)
         return self.chosen
 
     def _ring_from(self, distance: int, direction: int) -> Iterator[str]:

@@ -118,7 +118,7 @@ class CoordinatorCopy(Struct, eq=False):
         """Extend the deadline of the departure to this time, in seconds."""
         self.deadline = deadline
 
-    def doubt(self, reason: str) -> None:
+    def mark_in_doubt(self, reason: str) -> None:
         """Record that the state of this copy is not known."""
         self.doubt_reason = reason
 
@@ -134,7 +134,7 @@ class CoordinatorCopy(Struct, eq=False):
         """A restored copy is in the machine again; without `make_block` its block was refused."""
         self.make_block = make_block
         if make_block is None:
-            self.doubt(UNREADABLE)
+            self.mark_in_doubt(UNREADABLE)
             self.mark_unreadable()
 
     def mark_continued(self) -> None:

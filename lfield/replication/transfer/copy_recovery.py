@@ -45,18 +45,18 @@ class CopyRecovery:
         newest = self.newest_copy(agent)
         if newest is None or self._copies.find(agent, generation) is not None:
             raise ValueError(f"{agent} cannot be recovered as generation {generation}")
-        found = CoordinatorCopy(
+        recovered = CoordinatorCopy(
             agent, generation, hops=newest.hops, block=newest.block and bytes(newest.block)
         )
-        if found.block is not None and put(found) is None:
+        if recovered.block is not None and put(recovered) is None:
             newest.mark_unreadable()
             return []
         copy = self._copies.find_or_create(agent, generation)
         assert copy is not None
-        copy.mark_running(0, newest.hops, found.block)
+        copy.mark_running(0, newest.hops, recovered.block)
         # No message is sent, and no copy starts, before the record of the new start is on disk.
         effects = self._copies.persist(copy) + self._termination.terminate_outranked(copy)
-        if found.block is None:
+        if recovered.block is None:
             return [*effects, CoordinatorStarted(agent, generation)]
         left_for = f"its departure for {newest.target}" if newest.target else "its last stored state"
         known = f"{MAYBE_STARTED}, and later actions are unknown"

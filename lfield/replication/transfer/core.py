@@ -382,19 +382,19 @@ class Mobility:
         copy = self._copies.find(agent, generation)
         return copy.block if copy is not None and copy.state == "MOVED" else None
 
-    def _on_state(self, host: str, state_id: int, known: CoordinatorState) -> list[Effect]:
-        if known.state == "EXITED":
+    def _on_state(self, host: str, state_id: int, record: CoordinatorState) -> list[Effect]:
+        if record.state == "EXITED":
             ended = Terminated(
-                known.agent, known.generation, known.outcome or "lost", known.detail, known.where
+                record.agent, record.generation, record.outcome or "lost", record.detail, record.where
             )
             return self._termination.on_remote_termination(ended)
-        if known.state == "PARKED":
+        if record.state == "PARKED":
             return []
-        effects = self._sender.on_state(host, state_id, known)
-        effects += self._termination.fence(known.agent, known.generation, host)
-        own_copy = self._copies.find(known.agent, known.generation)
+        effects = self._sender.on_state(host, state_id, record)
+        effects += self._termination.fence(record.agent, record.generation, host)
+        own_copy = self._copies.find(record.agent, record.generation)
         # A host that was down when this start ended still has the copy; the home may have made another start.
         is_outdated = own_copy is not None and own_copy.outcome in TERMINATED
-        if known.state in LIVE_STATES and not is_outdated:
-            effects += self._termination.compare_starts(host, known)
+        if record.state in LIVE_STATES and not is_outdated:
+            effects += self._termination.compare_starts(host, record)
         return effects

@@ -162,19 +162,19 @@ class TransferSender:
             copy, UNREACHABLE, f"the link to {host} broke during the transfer and was restored too late"
         )
 
-    def on_state(self, host: str, state_id: int, known: CoordinatorState) -> list[Effect]:
+    def on_state(self, host: str, state_id: int, record: CoordinatorState) -> list[Effect]:
         """Check whether a record of `host` proves that a copy sent from here has arrived.
 
         Only the copy that resulted from the transfer assigns higher numbers.
         """
-        copy = self._copies.find(known.agent, known.generation)
+        copy = self._copies.find(record.agent, record.generation)
         if copy is None or not copy.is_unanswered:
             return []
         if self._copies.has_journal and (host, state_id) == (copy.target, copy.receiver_memory):
             # The record may not be on the disk of its host yet. The host answers for the transfer when it is.
             return []
-        arrived = known.sequence == copy.sequence and known.state in ("RUN", "FROZEN")
-        return self.mark_moved(copy) if arrived or known.sequence > copy.sequence else []
+        arrived = record.sequence == copy.sequence and record.state in ("RUN", "FROZEN")
+        return self.mark_moved(copy) if arrived or record.sequence > copy.sequence else []
 
     def mark_moved(self, copy: CoordinatorCopy, held: float = 0.0) -> list[Effect]:
         """The copy lives on another host; the block is kept as its shadow."""
@@ -266,7 +266,7 @@ class TransferSender:
     def _mark_in_doubt(self, copy: CoordinatorCopy, reason: str) -> list[Effect]:
         if copy.doubt_reason == reason:
             return []
-        copy.doubt(reason)
+        copy.mark_in_doubt(reason)
         return [MarkInDoubt(copy.agent, copy.generation, copy.sequence, copy.target, reason)]
 
     def _resume(self, copy: CoordinatorCopy, kind: str, reason: str) -> list[Effect]:

@@ -29,7 +29,7 @@ class EventQueue:
     def __init__(self) -> None:
         self.now = 0.0
         #: Number of events, and its limit.
-        self.events, self.most = 0, math.inf
+        self.events, self.max_events = 0, math.inf
         self._queue: list[tuple[float, int, PlannedEvent]] = []
         self._submitted = 0
         self._paused = False
@@ -51,7 +51,7 @@ class EventQueue:
         while self._queue and self._queue[0][0] <= end:
             self.now, _, planned = heapq.heappop(self._queue)
             if planned.event is not None:
-                if self.events >= self.most:
+                if self.events >= self.max_events:
                     raise TooManyEvents(f"{self.events:,} events, but time is still {self.now:.6f} s")
                 self.events += 1
                 planned.event()

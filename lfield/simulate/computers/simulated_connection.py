@@ -209,7 +209,7 @@ class ConnectionEnd(asyncio.Transport):
 
     def refuse(self) -> None:
         """Answers a later sender by a reset after the loss of this end, if that path works."""
-        if self.machine.on and self.path not in self._paths.silent:
+        if self.machine.is_on and self.path not in self._paths.silent:
             error = reset()
             self.other.arrive(partial(self.other._close, error))
 

@@ -70,14 +70,14 @@ class SimulatedMachine:
         self.hardware: dict[str, object] = {}
         #: Unfinished tasks of the machine's processes, including dead ones.
         self.pinned: set[asyncio.Task[Any]] = set()
-        self.on = False
+        self.is_on = False
         self.switch_on()
 
     def switch_on(self) -> None:
         """Switches the machine on: its monotonic clock restarts; its time of day is arbitrary, or that of
         `set_day`.
         """
-        self.on = True
+        self.is_on = True
         self.clock = MachineClock(self.timeline, start=self.rng.uniform(1.0, 1e5), rate=self.rate)
         self.clock.ahead = self.rng.uniform(0.0, 2e9)
         if self.day is not None:
@@ -85,7 +85,7 @@ class SimulatedMachine:
 
     def switch_off(self) -> None:
         """Switches the machine off: no process runs on it."""
-        self.on = False
+        self.is_on = False
 
     def set_day(self, day: tuple[float, float]) -> None:
         """From now on the machine knows the time of day approximately, also after it was switched off."""

@@ -124,7 +124,7 @@ class SimulatedNetwork:
         if called is None:
             unsupported(f"connect to {host}:{port}")
         await asyncio.sleep(self.paths.delay((caller.name, called.name)))
-        while self.paths.silences(caller.name, called.name) or not called.on:
+        while self.paths.silences(caller.name, called.name) or not called.is_on:
             await asyncio.sleep(RETRY_DELAY)
         listening = self._listening.get((host, port))
         if listening is None:

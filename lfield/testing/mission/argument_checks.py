@@ -63,9 +63,9 @@ def initial_faults(fakes: object) -> Mapping[str, Sequence[str]]:
     return found
 
 
-def doubles(given: object) -> Mapping[str, object]:
+def doubles(value: object) -> Mapping[str, object]:
     """Double objects, by resource."""
-    found = _mapping(given, "doubles", '{"pump": Pump()}')
+    found = _mapping(value, "doubles", '{"pump": Pump()}')
     for resource, double in found.items():
         if double is None:
             raise DoubleError(f"the double of {resource} is None: give an object with its portals as methods")

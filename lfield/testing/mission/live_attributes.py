@@ -18,7 +18,7 @@ from lfield.capability.model import AttributeType
 from lfield.capability.offer import Provenance
 from lfield.errors import DoubleError
 from lfield.mission.mission import Mission
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.text.suggestions import did_you_mean, listed
 from lfield.vm.agent import TeamMember
 
@@ -39,10 +39,10 @@ def check(mission: Mission, member: TeamMember, double: object) -> None:
 
 
 def attach(
-    mission: Mission, member: TeamMember, life: HostLife, double: object, failures: list[BaseException]
+    mission: Mission, member: TeamMember, run: HostRun, double: object, failures: list[BaseException]
 ) -> None:
     """Connects a double's attributes to one incarnation of its host; exceptions go to `failures`."""
-    directory, clock = life.core.directory.directory, life.host.clock
+    directory, clock = run.core.directory.directory, run.host.clock
 
     def replaced(condition: AgentCondition) -> AgentCondition:
         bound = {name: s for name, s in condition.samples.items() if s.of == "stated"}
@@ -70,18 +70,18 @@ def _samples(mission: Mission, member: TeamMember, values: object, now: float) -
         raise DoubleError(
             f"the {NAME} of the double of {member.id} are {values!r}: give a dict of names and values"
         )
-    known = _known(mission, member)
+    attributes = _known(mission, member)
     for name, value in values.items():
-        if name not in known:
-            hint = did_you_mean(str(name), known) or f"it has {listed(known) or 'none'}"
+        if name not in attributes:
+            hint = did_you_mean(str(name), attributes) or f"it has {listed(attributes) or 'none'}"
             raise DoubleError(
                 f"the double of {member.id} provides {name!r}, but {member.type} has no such live attribute "
                 f"in this mission: {hint}"
             )
-        if not _fits(value, known[name]):
+        if not _fits(value, attributes[name]):
             raise DoubleError(
                 f"the double of {member.id} provides {name} = {value!r}, which is not a value of type "
-                f"{known[name]}"
+                f"{attributes[name]}"
             )
     return {
         name: AttributeSample(value, now, now, of=_provenance(mission, name))

@@ -94,9 +94,9 @@ class MissionFakes:
         self.devices: dict[str, FakeDevice] = {}
 
     @property
-    def trouble(self) -> list[Exception]:
+    def failures(self) -> list[Exception]:
         """Unexpected exceptions of simulated devices."""
-        return [error for fake in self._cabled.values() for error in fake.trouble]
+        return [error for fake in self._cabled.values() for error in fake.failures]
 
     def plug(self, fleet: Fleet, mission: Mission, _: random.Random) -> Mission:
         """Starts the devices; returns the mission with their endpoints. Raises PluginError and

@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 from lfield.errors import MissionTestError, Stuck
 from lfield.mission.loader import load_mission
-from lfield.simulate.host_fleet import Fleet, FleetOptions, HostLife
+from lfield.simulate.host_fleet import Fleet, FleetOptions, HostRun
 from lfield.testing.mission import argument_checks
 from lfield.testing.mission.call_record import CallRecorder, RecordedCall
 from lfield.testing.mission.io_guard import IoGuard
@@ -93,12 +93,12 @@ class MissionTeam:
             machine.set_day(DAY)
         self._tracks = TrackRecorder(self._fakes.devices, lambda: self.now, self._fleet.later)
 
-    def _on_host_start(self, name: str, life: HostLife) -> None:
-        machine = life.core.machine
+    def _on_host_start(self, name: str, run: HostRun) -> None:
+        machine = run.core.machine
         self._calls.observe(machine)
-        self._doubles.attach(life)
-        self._hops.observe(life)
-        self._lines.attach(life)
+        self._doubles.attach(run)
+        self._hops.observe(run)
+        self._lines.attach(run)
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -144,7 +144,7 @@ class MissionTeam:
             self._fleet.run(POLL_INTERVAL)
             if self._awaited and not over and self._have_ended:
                 over, end = True, min(end, self.now + SETTLE_TIME)
-            if ended_hosts := self._fleet.computers.keys() - self._fleet.lives.keys() - self._ended_hosts:
+            if ended_hosts := self._fleet.computers.keys() - self._fleet.runs.keys() - self._ended_hosts:
                 name = min(ended_hosts)
                 raise Stuck(f"{reason}, and {name} has ended by itself", self._last_lines(name))
 
@@ -201,7 +201,7 @@ class MissionTeam:
         if self._patience.has_expired:
             raise self._stuck_error()
         self._raise_caught()
-        for failure in (*self._doubles.trouble, *self._fakes.trouble):
+        for failure in (*self._doubles.failures, *self._fakes.failures):
             raise failure
         if fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_lines())
@@ -260,8 +260,8 @@ class MissionTeam:
     def _learn(self) -> None:
         """Collects the ends of coordinators from running hosts."""
         found = self._outcomes
-        for life in self._fleet.lives.values():
-            for known in life.core.mobility.known_states():
+        for run in self._fleet.runs.values():
+            for known in run.core.mobility.known_states():
                 over = known.outcome if known.state == "EXITED" and known.outcome != "superseded" else ""
                 found[known.agent] = max(found.get(known.agent, (0, "")), (known.generation, over))
 
@@ -309,7 +309,7 @@ class MissionTeam:
     def crash(self, host: str) -> None:
         """Kills the process of a host; its guards live on until their devices are safe."""
         self._ended_hosts.add(self._host(host))
-        if host in self._fleet.lives:
+        if host in self._fleet.runs:
             self._fleet.crash(host)
             self._mark(f"{host} is killed")
 
@@ -322,16 +322,16 @@ class MissionTeam:
     def boot(self, host: str) -> None:
         """Starts a host again, and its computer if that is off."""
         self._ended_hosts.discard(self._host(host))
-        if host not in self._fleet.lives:
+        if host not in self._fleet.runs:
             self._fleet.boot(host)
             self._mark(f"{host} is restarted")
 
     def stop(self, *hosts: str) -> None:
         """Stops hosts, or all, as by SIGTERM: their devices come to rest first."""
         self._be_open()
-        for host in hosts or tuple(self._fleet.lives):
+        for host in hosts or tuple(self._fleet.runs):
             self._ended_hosts.add(self._host(host))
-            if host in self._fleet.lives:
+            if host in self._fleet.runs:
                 self._fleet.stop(host)
 
     def pause(self) -> None:

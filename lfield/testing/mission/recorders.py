@@ -10,7 +10,7 @@ from typing import NamedTuple
 from lfield.bytecode.opcodes import BY_CODE
 from lfield.bytecode.program import MethodRecord, Program
 from lfield.errors import MissionTestError
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.testing.mission.mission_fakes import FakeDevice
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import BUDGET_EXHAUSTED
@@ -46,9 +46,9 @@ class HopRecorder:
         self._now = now
         self.record: list[Hop] = []
 
-    def observe(self, life: HostLife) -> None:
+    def observe(self, run: HostRun) -> None:
         """Records arrivals at a host."""
-        core = life.core
+        core = run.core
 
         def on_arrival(agent: Agent) -> None:
             source = core.mission.team.hosts[agent.block.trail()[-2]]
@@ -80,7 +80,7 @@ class LineStops:
 
     def __init__(self, program: Program, later: Callable[[float, Callable[[], None]], None]) -> None:
         self._program, self._later = program, later
-        self._lives: list[HostLife] = []
+        self._runs: list[HostRun] = []
         self._stops: list[_Stop] = []
 
     def when(self, line: str, action: Callable[[], None]) -> None:
@@ -94,30 +94,30 @@ class LineStops:
                 f"'{line}' is not a line of the mission with code; write it as mission.L:42"
             )
         self._stops.append(_Stop(places, action))
-        for life in self._lives:
-            self._stop_in(life, self._stops[-1])
+        for run in self._runs:
+            self._stop_in(run, self._stops[-1])
 
-    def attach(self, life: HostLife) -> None:
+    def attach(self, run: HostRun) -> None:
         """Sets the lines in the VM of a host that has started."""
-        self._lives.append(life)
+        self._runs.append(run)
         for stop in self._stops:
-            self._stop_in(life, stop)
+            self._stop_in(run, stop)
 
-    def _stop_in(self, life: HostLife, stop: _Stop) -> None:
-        engine = life.core.machine.engine
+    def _stop_in(self, run: HostRun, stop: _Stop) -> None:
+        engine = run.core.machine.engine
         assert isinstance(engine, ReferenceEngine), "the simulator runs on the reference engine"
         steps = engine.prepared.steps
         for place in stop.places:
-            steps[place] = self._stopping(life, stop, steps[place])
+            steps[place] = self._stopping(run, stop, steps[place])
 
-    def _stopping(self, life: HostLife, stop: _Stop, step: Step) -> Step:
+    def _stopping(self, run: HostRun, stop: _Stop, step: Step) -> Step:
         def stopping(registers: Registers) -> int:
             if stop.over:
                 return step(registers)
             if not stop.reached:
                 stop.reached = True
                 self._later(0.0, stop.happen)
-            life.process.loop.hold()
+            run.process.loop.hold()
             return registers.leave(BUDGET_EXHAUSTED)
 
         return stopping

@@ -13,7 +13,7 @@ from lfield.bytecode.disassembler import type_name
 from lfield.bytecode.program import MethodRecord, Program
 from lfield.errors import DoubleError
 from lfield.mission.mission import Mission
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.testing.mission import live_attributes
 from lfield.testing.mission.call_record import arguments_of
 from lfield.testing.mission.double_answers import After, Throws
@@ -34,7 +34,7 @@ class ResourceDoubles:
     double (`live_attributes`); its other offers are those of its class. `synchronized` portals are called one
     at a time, in order; the owner calls `release_monitors` after each event.
 
-    A failure of a double goes to `trouble`, and its portal never ends: the owner raises it after the event.
+    A failure of a double goes to `failures`, and its portal never ends: the owner raises it after the event.
     Raises DoubleError for a double that does not fit the mission.
     """
 
@@ -46,18 +46,18 @@ class ResourceDoubles:
             _check(mission.program, member, double)
             live_attributes.check(mission, member, double)
             self._doubles.append((member, double))
-        self.trouble: list[BaseException] = []
+        self.failures: list[BaseException] = []
         self._monitors: list[_Monitor] = []
 
-    def attach(self, life: HostLife) -> None:
+    def attach(self, run: HostRun) -> None:
         """Connects the doubles to one incarnation of a host, before any agent runs."""
-        machine, later = life.core.machine, _Later(life)
+        machine, later = run.core.machine, _Later(run)
         for member, double in self._doubles:
             monitor = _Monitor(machine, later, partial(self._answer, machine, later, double))
             machine.hooks.stubs[member.id] = monitor.on_call
             self._monitors.append(monitor)
             if live_attributes.has_live_attributes(double):
-                live_attributes.attach(self._mission, member, life, double, self.trouble)
+                live_attributes.attach(self._mission, member, run, double, self.failures)
 
     def release_monitors(self) -> None:
         """Called after each event: starts the next calls of synchronized portals that are free."""
@@ -75,7 +75,7 @@ class ResourceDoubles:
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:
-            self.trouble.append(error)
+            self.failures.append(error)
 
     def _end(self, machine: Machine, later: _Later, call: StubCall, answer: object) -> None:
         wait = answer if isinstance(answer, After) else None
@@ -94,19 +94,19 @@ class ResourceDoubles:
 class _Later:
     """Schedules events in one incarnation of a host, in seconds of true time."""
 
-    life: HostLife
+    run: HostRun
 
     def __call__(self, seconds: float, event: Callable[[], None]) -> None:
         def happen() -> None:
             event()
-            self.life.host.step()
+            self.run.host.step()
 
-        self.life.process.loop.soon(happen, seconds)
+        self.run.process.loop.soon(happen, seconds)
 
     @property
     def is_over(self) -> bool:
         """Whether the incarnation has ended, perhaps by the double itself."""
-        return self.life.process.loop.dead
+        return self.run.process.loop.dead
 
 
 @dataclass(slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.simulate.host_fleet import Fleet, HostRun
 from lfield.testing.mission.recorders import Hop
 from lfield.text.suggestions import listed
 from lfield.vm.agent import POLLS, WAITS, Agent, TeamMember
@@ -31,17 +31,17 @@ def stuck_report(fleet: Fleet, ended: Mapping[str, str], hops: Sequence[Hop]) ->
     """
     lines = []
     for name in fleet.mission.team.hosts:
-        life = fleet.lives.get(name)
-        if life is None:
+        run = fleet.runs.get(name)
+        if run is None:
             lines.append(f"{name} is not running")
             continue
-        lines += _links(life, fleet.mission.team.hosts)
-        if life.core.coordinators.paused:
+        lines += _links(run, fleet.mission.team.hosts)
+        if run.core.coordinators.paused:
             lines.append(f"{name} is paused")
-        for agent in life.core.machine.agents.values():
+        for agent in run.core.machine.agents.values():
             if not _has_left(fleet, agent):
-                lines += _agent(fleet, life, agent)
-    present = {id for life in fleet.lives.values() for id in life.core.machine.agents}
+                lines += _agent(fleet, run, agent)
+    present = {id for run in fleet.runs.values() for id in run.core.machine.agents}
     missing = (member for member in fleet.mission.team.initial_coordinators if member.id not in present)
     return lines + [_missing(fleet, member, ended.get(member.id, ""), hops) for member in missing]
 
@@ -53,7 +53,7 @@ def _missing(fleet: Fleet, member: TeamMember, outcome: str, hops: Sequence[Hop]
     origin = fleet.mission.team.hosts[member.host]
     last = next((hop.target for hop in reversed(hops) if hop.agent == member.id), "")
     host = last or origin
-    if host not in fleet.lives:
+    if host not in fleet.runs:
         return (
             f"{member.id} is missing: {'it was on' if last else 'it starts on'} {host}, which is not running"
         )
@@ -67,7 +67,7 @@ def _missing(fleet: Fleet, member: TeamMember, outcome: str, hops: Sequence[Hop]
 
 def _has_left(fleet: Fleet, agent: Agent) -> bool:
     """Whether a coordinator has migrated already, with the confirmation still on its way."""
-    copies = [life.core.machine.agents.get(agent.id) for life in fleet.lives.values()]
+    copies = [run.core.machine.agents.get(agent.id) for run in fleet.runs.values()]
     return agent.frozen and any(copy is not None and _is_later(copy, agent) for copy in copies)
 
 
@@ -77,52 +77,52 @@ def _is_later(copy: Agent, agent: Agent) -> bool:
     return other[W_GENERATION] == own[W_GENERATION] and other[W_HOPS] > own[W_HOPS]
 
 
-def _links(life: HostLife, hosts: Sequence[str]) -> list[str]:
+def _links(run: HostRun, hosts: Sequence[str]) -> list[str]:
     """Peers that the host has tried to reach and is not connected to."""
-    unreachable = [host for host in hosts if host in life.host.peers.down_since]
-    return [f"{life.core.name} has no link with {listed(unreachable)}"] if unreachable else []
+    unreachable = [host for host in hosts if host in run.host.peers.down_since]
+    return [f"{run.core.name} has no link with {listed(unreachable)}"] if unreachable else []
 
 
-def _agent(fleet: Fleet, life: HostLife, agent: Agent) -> list[str]:
-    core = life.core
+def _agent(fleet: Fleet, run: HostRun, agent: Agent) -> list[str]:
+    core = run.core
     if agent.ended:
         return [f"{agent.id} on {core.name}: {agent.ended}"]
     prefix = f"{agent.id} on {core.name}:"
     found = [
-        f"{prefix} {_activity(fleet, life, agent, place)} {_position(life, agent, place)}".rstrip()
+        f"{prefix} {_activity(fleet, run, agent, place)} {_position(run, agent, place)}".rstrip()
         for place in threads(agent.block)
     ]
     return found or [f"{prefix} idle"]
 
 
-def _position(life: HostLife, agent: Agent, place: int) -> str:
+def _position(run: HostRun, agent: Agent, place: int) -> str:
     """The position of a thread: `at Post.work (walk.L:4)`."""
-    return " ".join(traceback.lines(agent.block, life.core.mission.program, place)[:1])
+    return " ".join(traceback.lines(agent.block, run.core.mission.program, place)[:1])
 
 
-def _activity(fleet: Fleet, life: HostLife, agent: Agent, place: int) -> str:
+def _activity(fleet: Fleet, run: HostRun, agent: Agent, place: int) -> str:
     """The activity of a thread, and the portal, device or lock that it waits for."""
     state = agent.block.w[place + THREAD_STATE]
     if state == WAITING:
-        return f"waits for {_instruction(life, agent, place)}"
-    if agent.id in life.core.machine.hooks.stubs:
+        return f"waits for {_instruction(run, agent, place)}"
+    if agent.id in run.core.machine.hooks.stubs:
         return "its double has not returned yet"
     if agent.monitor_waits.get(agent.block.w[place + THREAD_ID]) in (WAITS, POLLS):
         return "waits until its condition holds,"
     if state == BLOCKED:
-        return f"waits for the lock {_holder(life, agent)},"
+        return f"waits for the lock {_holder(run, agent)},"
     if agent.member.kind == "coordinator":
-        return _waits(fleet, life, agent, state)
+        return _waits(fleet, run, agent, state)
     return STATE_NAMES[state]
 
 
-def _waits(fleet: Fleet, life: HostLife, agent: Agent, state: int) -> str:
+def _waits(fleet: Fleet, run: HostRun, agent: Agent, state: int) -> str:
     """The calls that a coordinator waits for: its call, or the calls of its `together`."""
-    core = life.core
+    core = run.core
     called = core.machine.itinerary.current_target(agent) if agent.frozen or state == CALLING else None
-    lives = fleet.lives.values()
+    runs = fleet.runs.values()
     pending = [
-        call for each in lives for call in each.core.machine.pending_calls.calls() if call.agent == agent.id
+        call for each in runs for call in each.core.machine.pending_calls.calls() if call.agent == agent.id
     ]
     names = [f"{call.resource}.{call.portal}()" for call in pending if call.state == "running"]
     if called:
@@ -137,18 +137,18 @@ def _waits(fleet: Fleet, life: HostLife, agent: Agent, state: int) -> str:
     return core.wait_reason(agent) or STATE_NAMES[state]
 
 
-def _holder(life: HostLife, agent: Agent) -> str:
+def _holder(run: HostRun, agent: Agent) -> str:
     """The holder of the lock of a resource, and its position."""
     thread = agent.block.w[W_OWNER]
     place = place_of(agent.block, thread)
     if not place:
         return "that is free"
-    caller = life.core.machine.served_calls.caller(agent, thread)
-    return f"that {caller.id if caller else agent.id} holds {_position(life, agent, place)}"
+    caller = run.core.machine.served_calls.caller(agent, thread)
+    return f"that {caller.id if caller else agent.id} holds {_position(run, agent, place)}"
 
 
-def _instruction(life: HostLife, agent: Agent, place: int) -> str:
+def _instruction(run: HostRun, agent: Agent, place: int) -> str:
     """The device instruction that a thread waits for."""
-    group = life.core.machine.engine.groups[agent.block.w[place + THREAD_PC]]
-    call = life.core.mission.program.core.device_calls[group.head.a]
+    group = run.core.machine.engine.groups[agent.block.w[place + THREAD_PC]]
+    call = run.core.mission.program.core.device_calls[group.head.a]
     return f"{call.field}.{call.instruction}()"

@@ -181,10 +181,10 @@ class _Writer:
     def __init__(self, block: Block, layouts: Layouts, program: Program) -> None:
         self._block, self._layouts, self._program = block, layouts, program
         #: Places of created objects, by identity of the Python object and type.
-        self._made: dict[tuple[int, int], int] = {}
+        self._places: dict[tuple[int, int], int] = {}
         self._empty: list[tuple[int, list[tuple[int, int, object]]]] = []
-        #: Lists made by this object, which are kept so that an identity in `_made` is not used again.
-        self._kept: list[object] = []
+        #: Lists made by this object, which are kept so that an identity in `_places` is not used again.
+        self._alive: list[object] = []
 
     def write(self, kind: int, value: object) -> int:
         word = self._cell(kind, value)
@@ -192,8 +192,8 @@ class _Writer:
             place, parts = self._empty.pop()
             for offset, of, part in parts:
                 # The word is first, because it may need an allocation, which invalidates the block's views.
-                made = self._cell(of, part)
-                self._block.w[place + offset] = made
+                cell = self._cell(of, part)
+                self._block.w[place + offset] = cell
         return word
 
     def _cell(self, kind: int, value: object) -> int:
@@ -229,34 +229,34 @@ class _Writer:
 
     def _array(self, kind: int, values: Sequence[object]) -> int:
         key = id(values), kind
-        if key not in self._made:
+        if key not in self._places:
             core = self._program.core
             of, plain = core.element(kind), core.plain_array(kind)
-            self._made[key] = place = self._block.new_array(kind, plain, len(values))
+            self._places[key] = place = self._block.new_array(kind, plain, len(values))
             first, _ = layout.elements(self._block.w, place)
             self._empty.append((first, [(i, of, value) for i, value in enumerate(values)]))
-        return self._made[key]
+        return self._places[key]
 
     def _map(self, kind: int, value: dict[object, object]) -> int:
         """A map with keys and values only: L adds the rest at the first search."""
         key = id(value), kind
-        if key not in self._made:
+        if key not in self._places:
             index = self._program.core.types[kind].of
             fields = self._program.core.classes[index].fields
             place = self._block.allocate(layout.OBJECT, index, self._layouts.class_words[index])
-            self._made[key] = place
+            self._places[key] = place
             if None in value:
                 raise self._mismatch(kind, "a dict with a key None")
             parts: list[object] = [list(value), list(value.values()), [], []]
-            self._kept += parts
+            self._alive += parts
             found = [(1 + i, fields[i].type, part) for i, part in enumerate(parts)]
             self._empty.append((place, [*found, (5, fields[4].type, len(value))]))
-        return self._made[key]
+        return self._places[key]
 
     def _object(self, kind: int, value: LObject) -> int:
         key = id(value), kind
-        if key in self._made:
-            return self._made[key]
+        if key in self._places:
+            return self._places[key]
         index = self._program.core.types[kind].of
         name = self._program.core.classes[index].name
         fields = own_fields(self._program, index)
@@ -265,7 +265,8 @@ class _Writer:
         if {field.name for _, field in fields} != value.fields.keys():
             names = ", ".join(field.name for _, field in fields) or "no fields"
             raise self._mismatch(kind, f"{_clipped(value)}, whose fields are not {names},")
-        self._made[key] = place = self._block.allocate(layout.OBJECT, index, self._layouts.class_words[index])
+        size = self._layouts.class_words[index]
+        self._places[key] = place = self._block.allocate(layout.OBJECT, index, size)
         self._empty.append((place, [(1 + i, field.type, value.fields[field.name]) for i, field in fields]))
         return place
 

@@ -223,9 +223,9 @@ def host_call(arguments: list[Argument], op: int, operand: int, checked: dict[in
     def step(m: Registers) -> int:
         w, slots = m.w, m.slots
         words = [constant if slot is None else w[slots + slot] for slot, constant in arguments]
-        for number, what in must:
+        for number, subject in must:
             if not words[number]:
-                raise null_use(what)
+                raise null_use(subject)
         m.exit = HostCall(op, operand, words)
         return LEAVE
 

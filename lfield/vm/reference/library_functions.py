@@ -23,7 +23,7 @@ Function = Callable[..., Any]
 _INT = re.compile(r"[+-]?[0-9]{1,19}", re.ASCII)
 _REAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
 #: Characters of a string shown in an exception message.
-_SHOWN = 40
+_MAX_SHOWN = 40
 _FNV_BASIS, _FNV_PRIME, _WORD = 0xCBF29CE484222325, 0x100000001B3, (1 << 64) - 1
 
 
@@ -115,13 +115,13 @@ def _s2i(m: Registers, place: int) -> int:
     text = _text(m, place, "s2i").strip()
     if _INT.fullmatch(text) and -(1 << 63) <= (value := int(text)) < 1 << 63:
         return value
-    raise Trap("ConversionException", f'"{text[:_SHOWN]}" is not an int')
+    raise Trap("ConversionException", f'"{text[:_MAX_SHOWN]}" is not an int')
 
 
 def _s2f(m: Registers, place: int) -> float:
     text = _text(m, place, "s2f").strip()
     if len(text) > 400 or not _REAL.fullmatch(text):
-        raise Trap("ConversionException", f'"{text[:_SHOWN]}" is not a real')
+        raise Trap("ConversionException", f'"{text[:_MAX_SHOWN]}" is not a real')
     return float(text)
 
 

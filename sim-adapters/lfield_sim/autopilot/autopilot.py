@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 from lfield_sim.autopilot.body.goals import ZERO, Fall, Goal, Keep, Lean, Orbit, Reach, Vector
 from lfield_sim.autopilot.flavours import MavResult, Role, SetpointControl, VehicleKind
 from lfield_sim.autopilot.flight_modes import apply_motor_faults, fly
-from lfield_sim.autopilot.mission_flight import why_no_mission
+from lfield_sim.autopilot.mission_flight import mission_refusal
 from lfield_sim.autopilot.monitoring.arming_readiness import ArmingRefusal, arming_refusal, new_texts
 from lfield_sim.autopilot.monitoring.failsafes import Failsafes
-from lfield_sim.autopilot.pace import RoverPace
 from lfield_sim.autopilot.pilot import Pilot
+from lfield_sim.autopilot.speed_control import RoverSpeedControl
 from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.takeoff_landing import disarm_when_idle, rise, start_takeoff
 
@@ -73,15 +73,15 @@ class Autopilot(Pilot):
             gps_lost=self.gps_lost,
             glitch=self.gps_glitch,
             compass_failed=self.compass_failed,
-            talks=self.flies and not self.flavour.submodes,
+            reports_glitches=self.flies and not self.flavour.submodes,
         ):
             self.say(text)
         self.failsafes.check(dt)
         if self.flavour.drifts:
             self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)
-        self.vehicle.limits.cruise = self.pace.speed
-        if isinstance(self.pace, RoverPace):
-            self.vehicle.limits.shoots_over = self.pace.is_commanded
+        self.vehicle.limits.cruise = self.speed_control.speed
+        if isinstance(self.speed_control, RoverSpeedControl):
+            self.vehicle.limits.shoots_over = self.speed_control.is_commanded
         self.payload.step(dt, self.now, self.vehicle.place, self.vehicle.yaw)
         self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne, load=self.vehicle.wind.load)
         self.vehicle.wind.step(dt)
@@ -121,7 +121,7 @@ class Autopilot(Pilot):
             return self._deny_arming(unfit)
         self.armed, self.armed_at, self.armed_first, self.touched_at = True, self.now, self.now, None
         self.set_home(self.vehicle.place)
-        self.pace.arm()
+        self.speed_control.arm()
         self.say(text or self.flavour.armed)
         return MavResult.ACCEPTED
 
@@ -155,7 +155,7 @@ class Autopilot(Pilot):
 
     def command_mode(self, name: str) -> MavResult:
         """Enters a mode by name. PX4 accepts an unavailable one and stays in its mode."""
-        if texts := self._why_not(name):
+        if texts := self._mode_refusal(name):
             for text in texts:
                 self.say(text)
             # PX4 accepts an unavailable mode, except one that lacks a position.
@@ -170,13 +170,13 @@ class Autopilot(Pilot):
         """Whether the vehicle flies without a position."""
         return self.estimate.is_lost and self.armed
 
-    def _why_not(self, name: str) -> tuple[str, ...]:
+    def _mode_refusal(self, name: str) -> tuple[str, ...]:
         """The texts when a mode cannot be entered now, empty when it can."""
         role, flavour = self.kind.modes[name].role, self.flavour
         if self._is_lost and role in POSITION_MODES:
             return (flavour.blind.refusal.format(mode=POSITION_MODES[role] if flavour.submodes else name),)
         if role is Role.MISSION:
-            return why_no_mission(self)
+            return mission_refusal(self)
         if role is Role.GUIDED and flavour.needs_stream and not self.streams:
             return (flavour.unavailable.format(mode="Offboard"),)
         if role is Role.MANUAL and flavour.submodes and self.vehicle.airborne:
@@ -244,7 +244,7 @@ class Autopilot(Pilot):
 
     def set_speed(self, speed: float) -> MavResult:
         """DO_CHANGE_SPEED over ground."""
-        return self.pace.change(speed)
+        return self.speed_control.change(speed)
 
     def reposition(
         self, place: Vector, yaw: float | None, *, change_mode: bool, speed: float | None = None
@@ -256,7 +256,7 @@ class Autopilot(Pilot):
         if self.role is not role and not change_mode:
             return MavResult.DENIED
         self.command_role(role)
-        if not self.pace.start(SetpointControl.PLACE, speed):
+        if not self.speed_control.start(SetpointControl.PLACE, speed):
             return MavResult.FAILED
         if self.armed and (self.vehicle.airborne or not self.flies):
             self.vehicle.goal, self.vehicle.yaw_goal = Reach(place), yaw
@@ -291,7 +291,7 @@ class Autopilot(Pilot):
         if isinstance(setpoint.goal, Reach) and not self.failsafes.fences.accepts(setpoint.goal.place):
             return
         if setpoint.goal is not None:
-            self.pace.start(setpoint.control)
+            self.speed_control.start(setpoint.control)
             # A yaw rate ends with the next setpoint without one; a heading remains.
             self.vehicle.goal, self.vehicle.yaw_rate_goal = setpoint.goal, None
         if setpoint.yaw is not None or setpoint.yaw_rate is not None:

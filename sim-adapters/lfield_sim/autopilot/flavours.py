@@ -46,8 +46,8 @@ class SetpointControl(Enum):
     VELOCITY = "velocity"
 
 
-class Pace(Protocol):
-    """The speed to a position (see `pace`); speeds in m/s."""
+class SpeedControl(Protocol):
+    """The speed to a position (see `speed_control`); speeds in m/s."""
 
     @property
     def speed(self) -> float:
@@ -59,7 +59,7 @@ class Pace(Protocol):
     def arm(self) -> None:
         """Called when the vehicle was armed."""
 
-    def start(self, control: SetpointControl, asked: float | None = None) -> bool:
+    def start(self, control: SetpointControl, requested: float | None = None) -> bool:
         """Called for a goal, with or without its own speed; False when it is refused for that speed."""
 
     def change(self, speed: float) -> MavResult:
@@ -67,7 +67,7 @@ class Pace(Protocol):
 
 
 #: Creates a pace from the autopilot's own speed and the cap on all speeds, read when needed.
-MakePace = Callable[[Callable[[], float], Callable[[], float]], Pace]
+MakeSpeedControl = Callable[[Callable[[], float], Callable[[], float]], SpeedControl]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class GcsRule:
     it lasts arming is refused if it `forbids` that, with `refusal` ('': without a text). `stands`: a disarmed
     vehicle takes the action too, unless it holds or returns already. `lost_text` is sent for any action,
     `unfit_text` if there is one, `hold_text` before a pause, and `text` with the action. It is checked
-    `every` so many seconds (0: always), which delays its start and end.
+    `check_period` so many seconds (0: always), which delays its start and end.
     """
 
     action: str
@@ -120,7 +120,7 @@ class GcsRule:
     lost_text: str = ""
     unfit_text: str = ""
     hold_text: str = ""
-    every: float = 0.0
+    check_period: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,9 +169,9 @@ class StartupTiming:
     """A cold start, in shares of the time until arming is possible.
 
     `fix`, `home`, `origin` and `position` are when GNSS has a fix and when the others are reported; from
-    `estimate` on the estimator trusts its position. `reasons` are why arming is refused, each until its
-    share; None is a refusal without a text. `texts` are its messages, each at its share. From `by_hand` on it
-    may be armed in a mode without a position.
+    `estimate` on the estimator trusts its position. `reasons` are the reasons against arming, each until
+    its share; None is a refusal without a text. `texts` are its messages, each at its share. From `by_hand`
+    on it may be armed in a mode without a position.
     """
 
     fix: float
@@ -208,7 +208,7 @@ class Flavour:
     unsupported         unknown MAV_CMDs
     lacks               unknown messages
     streamed_only       messages that REQUEST_MESSAGE does not support
-    heeds_groups        it obeys REQUEST_DATA_STREAM
+    heeds_groups        it supports REQUEST_DATA_STREAM
     fastest             the highest accepted rate of a stream, Hz
     return_cone         slope of the cone around home in which it climbs less for its return (0: none)
     unasked_only        messages whose rate cannot be changed
@@ -290,8 +290,9 @@ class VehicleKind:
 
     `speeds` are the parameters of the motion limits with units per SI unit; `return_height` and
     `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those without a parameter,
-    `pace` its speed to a position, `wheels` those of a rover, `home_altitude` the height above mean sea level
-    that it uses for home; `lands`: it supports takeoff and landing. `mission_limits` apply in a mission only.
+    `speed_control` its speed to a position, `wheels` those of a rover, `home_altitude` the height above mean
+    sea level that it uses for home; `lands`: it supports takeoff and landing. `mission_limits` apply in a
+    mission only.
     """
 
     name: str
@@ -301,7 +302,7 @@ class VehicleKind:
     start: str
     parameters: Mapping[str, float]
     speeds: Mapping[str, tuple[str, float]]
-    pace: MakePace
+    speed_control: MakeSpeedControl
     warming: StartupTiming
     limits: Limits = field(default_factory=Limits)
     wheels: Wheels = field(default_factory=Wheels)

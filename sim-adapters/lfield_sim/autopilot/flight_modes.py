@@ -37,36 +37,36 @@ def _return(pilot: Pilot) -> None:
 
     An ArduCopter that was climbing returns to the height of the command, and waits there.
     """
-    vehicle, home, waits = pilot.vehicle, pilot.homing.destination, pilot.return_pause
+    vehicle, home, pause = pilot.vehicle, pilot.homing.destination, pilot.return_pause
     north, east, down = vehicle.place
-    far = math.dist((north, east), home[:2])
+    distance = math.dist((north, east), home[:2])
     # ArduPilot approaches a rally point at its height, or higher; PX4's return height is above it.
     above = home[2] if pilot.flavour.takeoff_mode else pilot.home[2]
-    height = min(above - pilot.return_height_at(far), home[2])
+    height = min(above - pilot.return_height_at(distance), home[2])
     if not pilot.flies:
         vehicle.goal = Reach(home)
-        if far < AT_HOME:
+        if distance < AT_HOME:
             _come_home(pilot)
     elif not vehicle.airborne:
         vehicle.goal = Rest()
-    elif pilot.over_home_at is not None or _is_over_home(pilot, far):
+    elif pilot.over_home_at is not None or _is_over_home(pilot, distance):
         _come_home(pilot)
-        over = pilot.now - (pilot.over_home_at or 0.0)
-        vehicle.goal = Descend() if over >= waits + (SETTLES if waits else 0.0) else Rest()
-    elif far > NEAR_HOME and down > height + AT_HEIGHT:
-        stops = bool(waits) and pilot.now - pilot.entered_at < STOPS
-        vehicle.goal = Rest() if stops else Reach((north, east, height))
+        hover_time = pilot.now - (pilot.over_home_at or 0.0)
+        vehicle.goal = Descend() if hover_time >= pause + (SETTLES if pause else 0.0) else Rest()
+    elif distance > NEAR_HOME and down > height + AT_HEIGHT:
+        is_stopping = bool(pause) and pilot.now - pilot.entered_at < STOPS
+        vehicle.goal = Rest() if is_stopping else Reach((north, east, height))
     else:
-        kept = pilot.entered_down if far <= NEAR_HOME else min(pilot.entered_down, height)
-        pilot.entered_down = kept
-        vehicle.goal = Reach((home[0], home[1], kept if waits else min(down, height)))
+        return_down = pilot.entered_down if distance <= NEAR_HOME else min(pilot.entered_down, height)
+        pilot.entered_down = return_down
+        vehicle.goal = Reach((home[0], home[1], return_down if pause else min(down, height)))
 
 
-def _is_over_home(pilot: Pilot, far: float) -> bool:
+def _is_over_home(pilot: Pilot, distance: float) -> bool:
     """Whether a copter has stopped over home; PX4 descends at once."""
     velocity = pilot.vehicle.velocity
     level = abs(velocity[2]) < LEVEL and abs(pilot.vehicle.place[2] - pilot.entered_down) < LEVEL
-    return far < AT_HEIGHT and math.hypot(*velocity[:2]) < 0.5 and (level or not pilot.return_pause)
+    return distance < AT_HEIGHT and math.hypot(*velocity[:2]) < 0.5 and (level or not pilot.return_pause)
 
 
 def _come_home(pilot: Pilot) -> None:
@@ -87,7 +87,7 @@ def _guided(pilot: Pilot) -> None:
 
 
 def _take_off(pilot: Pilot) -> None:
-    """Flies PX4's mode: up to MIS_TAKEOFF_ALT, then hold; a rover is done at once."""
+    """Flies PX4's mode: up to MIS_TAKEOFF_ALT, then hold; a rover completes it at once."""
     goal = pilot.homing.ground - pilot.takeoff_height
     if not pilot.flies:
         pilot.on_its_way = True

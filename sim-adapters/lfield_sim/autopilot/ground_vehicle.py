@@ -61,7 +61,7 @@ class GroundVehicle(Vehicle):
     def step(self, dt: float) -> None:
         """Advances time by `dt` seconds."""
         before, heading = self.velocity, self.yaw
-        north, east, _ = self._kept_in(self._target_velocity())
+        north, east, _ = self._fenced(self._target_velocity())
         north, east = north * self.ground, east * self.ground
         target_speed, along = math.hypot(north, east), math.hypot(*before[:2])
         course = math.atan2(east, north) if target_speed > 1e-3 else self.yaw_goal
@@ -77,38 +77,41 @@ class GroundVehicle(Vehicle):
         target_speed += self._overshoot(target_speed, along, dt)
         self.yaw_rate = wrap(self.yaw - heading) / dt
         limits = self.limits
-        felt = math.copysign(math.hypot(*self.acceleration[:2]), self._pushing)
-        (push, _) = eased((felt, 0.0), (target_speed - along, 0.0), limits.acceleration, limits.jerk, dt)
+        present = math.copysign(math.hypot(*self.acceleration[:2]), self._forward_acceleration)
+        (acceleration, _) = eased(
+            (present, 0.0), (target_speed - along, 0.0), limits.acceleration, limits.jerk, dt
+        )
         if isinstance(self.goal, Roll):
-            push = -self.limits.rolls_out * along - FRICTION
-        speed = max(0.0, along + push * dt)
+            acceleration = -self.limits.rolls_out * along - FRICTION
+        speed = max(0.0, along + acceleration * dt)
         self.velocity = (speed * math.cos(self.yaw), speed * math.sin(self.yaw), 0.0)
         self.place = (self.place[0] + self.velocity[0] * dt, self.place[1] + self.velocity[1] * dt, 0.0)
-        self.acceleration = (push * math.cos(self.yaw), push * math.sin(self.yaw), 0.0)
+        self.acceleration = (acceleration * math.cos(self.yaw), acceleration * math.sin(self.yaw), 0.0)
 
     def _approach(self, place: Vector) -> Vector:
         """The velocity to a position, as of a copter; steered wheels may not turn back to a position just
         passed.
         """
         north, east = place[0] - self.place[0], place[1] - self.place[1]
-        far = math.hypot(north, east)
+        distance = math.hypot(north, east)
         behind = math.cos(math.atan2(east, north) - self.yaw) < 0.0
-        passed = behind and not self.wheels.returns and far < 2.0 * self.wheels.radius
-        if far < self.wheels.arrives or passed:
+        passed = behind and not self.wheels.returns and distance < 2.0 * self.wheels.radius
+        if distance < self.wheels.arrives or passed:
             return ZERO
         return Vehicle._approach(self, place)
 
     @property
-    def _pushing(self) -> float:
+    def _forward_acceleration(self) -> float:
         """Positive while it accelerates, negative while it decelerates."""
         north, east, _ = self.acceleration
         return north * math.cos(self.yaw) + east * math.sin(self.yaw)
 
-    def _turning_speed(self, target: float, off: float) -> float:
+    def _turning_speed(self, target: float, heading_error: float) -> float:
         """The speed with a heading error: a skid-steered rover turns first."""
         if self.wheels.radius:
-            return max(min(target, self.wheels.tight), target * math.cos(off))
-        return 0.0 if isinstance(self.goal, Reach) and off > PIVOTS else target * max(0.0, math.cos(off))
+            return max(min(target, self.wheels.tight), target * math.cos(heading_error))
+        pivots = isinstance(self.goal, Reach) and heading_error > PIVOTS
+        return 0.0 if pivots else target * max(0.0, math.cos(heading_error))
 
     def _brakes_first(self, course: float | None, along: float) -> bool:
         """Whether the rover still brakes straight because its goal is behind it."""
@@ -118,16 +121,16 @@ class GroundVehicle(Vehicle):
 
     def _overshoot(self, target: float, along: float, dt: float) -> float:
         """The excess over the target speed for a while after an acceleration."""
-        most = self._most_overshoot(target)
-        if not most:
+        overshoot = self._max_overshoot(target)
+        if not overshoot:
             self._excess = 0.0
         elif target - along > 0.5:
-            self._excess = most
+            self._excess = overshoot
         elif along > target:
             self._excess = max(0.0, self._excess - SETTLES * dt)
         return self._excess
 
-    def _most_overshoot(self, target: float) -> float:
+    def _max_overshoot(self, target: float) -> float:
         """The overshoot of a velocity, and of a slow commanded speed to a position."""
         limits = self.limits
         if isinstance(self.goal, Keep):

@@ -31,13 +31,13 @@ class Home:
 
     def __init__(self, rng: Random) -> None:
         self._rng = rng
-        self._rest = 0.0
+        self._since_renewal = 0.0
         self._error = 0.0
         self._flew = False
         self._reference = ZERO
         #: The rally points in the local frame, and the destination of the present return.
         self.rally: list[Vector] = []
-        self.rallies_at: Vector | None = None
+        self.rally_point: Vector | None = None
 
     @property
     def place(self) -> Vector:
@@ -51,39 +51,39 @@ class Home:
 
     def set_place(self, place: Vector) -> None:
         """Sets home, without an error at first."""
-        self._reference, self._error, self._rest = place, 0.0, 0.0
+        self._reference, self._error, self._since_renewal = place, 0.0, 0.0
 
     @property
     def destination(self) -> Vector:
         """The destination of the present return."""
-        return self.rallies_at or self.place
+        return self.rally_point or self.place
 
-    def start_return(self, here: Vector, parameters: Mapping[str, float]) -> Vector:
-        """Selects and returns the destination of a return from `here`."""
+    def start_return(self, place: Vector, parameters: Mapping[str, float]) -> Vector:
+        """Selects and returns the destination of a return from `place`."""
 
-        def far(place: Vector) -> float:
-            return math.dist(place[:2], here[:2])
+        def distance(point: Vector) -> float:
+            return math.dist(point[:2], place[:2])
 
         limit, nearest = (
             1000.0 * parameters.get("RALLY_LIMIT_KM", 0.0),
-            min(self.rally, key=far, default=None),
+            min(self.rally, key=distance, default=None),
         )
         if nearest is not None and (
-            (limit > 0.0 and far(nearest) > limit)
-            or (parameters.get("RALLY_INCL_HOME", 1.0) and far(self.place) <= far(nearest))
+            (limit > 0.0 and distance(nearest) > limit)
+            or (parameters.get("RALLY_INCL_HOME", 1.0) and distance(self.place) <= distance(nearest))
         ):
             nearest = None
-        self.rallies_at = nearest
+        self.rally_point = nearest
         return self.destination
 
-    def step(self, dt: float, here: Vector, *, flying: bool) -> None:
+    def step(self, dt: float, place: Vector, *, flying: bool) -> None:
         """Advances PX4's time by `dt` seconds: a new height each second in flight, a new home afterwards."""
         if self._flew and not flying:
-            self.set_place(here)
+            self.set_place(place)
         self._flew = flying
-        self._rest = self._rest + dt if flying else 0.0
-        while self._rest >= PERIOD:
-            self._rest -= PERIOD
+        self._since_renewal = self._since_renewal + dt if flying else 0.0
+        while self._since_renewal >= PERIOD:
+            self._since_renewal -= PERIOD
             self._renew()
 
     def _renew(self) -> None:

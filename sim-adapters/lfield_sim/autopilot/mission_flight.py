@@ -39,7 +39,7 @@ AT_PLACE, AHEAD = 1.0, 3.0
 LONGEST = 1e6
 
 
-def why_no_mission(pilot: Pilot) -> tuple[str, ...]:
+def mission_refusal(pilot: Pilot) -> tuple[str, ...]:
     """The texts when a mission cannot be flown, empty when it can. PX4 enters the mode on the ground."""
     items = pilot.mission.items[1 if pilot.flavour.home_item else 0 :]
     if not items:
@@ -159,14 +159,14 @@ def _follow_curve(pilot: Pilot) -> None:
 
 
 def _jump(pilot: Pilot, item: MissionItem) -> None:
-    mission, here = pilot.mission, pilot.mission.current
+    mission, index = pilot.mission, pilot.mission.current
     goal, times = (int(_bounded(value)) for value in item.values[:2])
     if item.command == JUMP_TO_TAG:
         tags = (n for n, each in enumerate(mission.items) if each.command == TAG and each.values[0] == goal)
         goal = next(tags, -1)
-    count = mission.jumps.get(here, 0)
+    count = mission.jumps.get(index, 0)
     if (times < 0 or count < times) and mission.jump(goal):
-        mission.jumps[here] = count + 1
+        mission.jumps[index] = count + 1
 
 
 def _done(pilot: Pilot, item: MissionItem) -> bool:
@@ -186,14 +186,14 @@ def _done(pilot: Pilot, item: MissionItem) -> bool:
 def _arrived(pilot: Pilot, item: MissionItem) -> bool:
     """Whether the vehicle has reached the item's position; turns start there."""
     mission, vehicle = pilot.mission, pilot.vehicle
-    if mission.arrived is None and len(mission.curve) < 2 and _near(pilot, item.place):
+    if mission.arrived is None and len(mission.curve) < 2 and _is_near(pilot, item.place):
         mission.arrived = pilot.now
         if item.command == LOITER_TURNS and item.place is not None:
             vehicle.goal = Orbit(item.place, abs(_bounded(item.values[2])) or 5.0, vehicle.limits.cruise / 2)
     return mission.arrived is not None
 
 
-def _near(pilot: Pilot, place: Vector | None) -> bool:
+def _is_near(pilot: Pilot, place: Vector | None) -> bool:
     # A rover ignores heights.
     parts = 3 if pilot.flies else 2
     return place is None or math.dist(pilot.vehicle.place[:parts], place[:parts]) < AT_PLACE
@@ -215,10 +215,10 @@ def _waited(pilot: Pilot, seconds: float) -> bool:
 
 def _landed(pilot: Pilot, item: MissionItem) -> bool:
     vehicle = pilot.vehicle
-    over = item.place is None or math.dist(vehicle.place[:2], item.place[:2]) < AT_PLACE
-    if pilot.flies and over:
+    is_over = item.place is None or math.dist(vehicle.place[:2], item.place[:2]) < AT_PLACE
+    if pilot.flies and is_over:
         vehicle.goal = Descend()
-    landed = over and pilot.landed
+    landed = is_over and pilot.landed
     if landed and pilot.flies:
         pilot.disarm()
     return landed
@@ -227,20 +227,20 @@ def _landed(pilot: Pilot, item: MissionItem) -> bool:
 def _placed(pilot: Pilot, item: MissionItem) -> bool:
     """Descends over the position by at most parameter 1 in metres, and climbs back."""
     mission, vehicle = pilot.mission, pilot.vehicle
-    here = vehicle.place
-    over = item.place is None or math.dist(here[:2], item.place[:2]) < AT_PLACE
+    place = vehicle.place
+    is_over = item.place is None or math.dist(place[:2], item.place[:2]) < AT_PLACE
     goal = vehicle.goal
-    if not (over and isinstance(goal, Reach)):
+    if not (is_over and isinstance(goal, Reach)):
         return False
     if mission.arrived is None:
         deepest = _bounded(item.values[0])
         ground = pilot.homing.ground - PUT_DOWN
-        down = min(here[2] + deepest, ground) if deepest > 0.0 else ground
-        mission.arrived, mission.height = pilot.now, here[2]
-        vehicle.goal = Reach((*here[:2], down))
-    elif goal.place[2] != mission.height and abs(here[2] - goal.place[2]) < AT_HEIGHT:
-        vehicle.goal = Reach((*here[:2], mission.height))
-    return goal.place[2] == mission.height and abs(here[2] - mission.height) < AT_HEIGHT
+        down = min(place[2] + deepest, ground) if deepest > 0.0 else ground
+        mission.arrived, mission.height = pilot.now, place[2]
+        vehicle.goal = Reach((*place[:2], down))
+    elif goal.place[2] != mission.height and abs(place[2] - goal.place[2]) < AT_HEIGHT:
+        vehicle.goal = Reach((*place[:2], mission.height))
+    return goal.place[2] == mission.height and abs(place[2] - mission.height) < AT_HEIGHT
 
 
 def _bounded(value: float) -> float:

@@ -10,7 +10,7 @@ from random import Random
 from lfield_sim.autopilot.body.estimator import Estimator
 from lfield_sim.autopilot.body.goals import ZERO, Descend, Fall, Goal, Keep, Lean, Orbit, Rest, Sink, Vector
 from lfield_sim.autopilot.equipment.payload import Battery, Payload
-from lfield_sim.autopilot.flavours import Flavour, MavResult, Pace, Role, VehicleKind
+from lfield_sim.autopilot.flavours import Flavour, MavResult, Role, SpeedControl, VehicleKind
 from lfield_sim.autopilot.ground_vehicle import GroundVehicle
 from lfield_sim.autopilot.home import Home
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
@@ -40,13 +40,13 @@ class Pilot:
     altitude             of the local frame's origin above mean sea level, m
     setpoint_at          when the last setpoint arrived; stream_at the first of those without a pause
     takeoff_goal         the height in m that a takeoff of PX4 was given
-    lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
+    lifts_at, lift_goal  when the motors lift it in the present takeoff, and the down coordinate of its goal
     risen_to             the goal at which a takeoff has ended, which ArduCopter does not report
-    entered_at, entered_down  when the mode was entered, and how far down; a return may climb, and keep that
+    entered_at, entered_down  time and down coordinate at the start of the mode; a climb changes the latter
     weak_at              the time since which a motor is too weak, minus infinity once that has been reported
-    sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
+    sinks_at             when a landing starts to descend: after a failsafe an ArduCopter hovers first
     on_its_way           of PX4's rover: the state that it reports as flying
-    stood                the last report about standing
+    stood                whether the last report was "landed"
     intended             the commanded mode, which a failsafe may have replaced
     resumes              the mode that PX4 goes back to after a landing
     station_at           when a packet of a ground station arrived last
@@ -76,7 +76,7 @@ class Pilot:
     mode: str = field(init=False)
     intended: str = field(init=False)
     resumes: str = field(init=False)
-    pace: Pace = field(init=False)
+    speed_control: SpeedControl = field(init=False)
     homing: Home = field(init=False)
     rng: Random = field(default_factory=lambda: Random(1))
     altitude: float = 488.0
@@ -116,12 +116,12 @@ class Pilot:
         self.vehicle = (
             Vehicle(limits) if self.kind.name == "copter" else GroundVehicle(limits, wheels=self.kind.wheels)
         )
-        self.pace = self.kind.pace(self.own_speed, lambda: self.vehicle.limits.top)
+        self.speed_control = self.kind.speed_control(self.own_speed, lambda: self.vehicle.limits.top)
         self.homing = Home(self.rng)
         self.mode = self.intended = self.kind.start
         self.resumes = self.kind.mode_for(Role.HOLD)
         self.apply_parameters()
-        self.pace.enter(guided=False)
+        self.speed_control.enter(guided=False)
         self.set_home(ZERO)
 
     # -- state ----------------------------------------------------------------------------------------
@@ -293,7 +293,7 @@ class Pilot:
         self.mode, self.over_home_at, vehicle = name, None, self.vehicle
         self.entered_at, self.entered_down = self.now, vehicle.place[2]
         self.apply_parameters()
-        self.pace.enter(guided=self.role is Role.GUIDED)
+        self.speed_control.enter(guided=self.role is Role.GUIDED)
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
         vehicle.goal = self._first_goal()
         if self.kind.limits.eases and self.role in (Role.HOLD, Role.RETURN):
@@ -310,20 +310,20 @@ class Pilot:
 
     def _start_return(self) -> None:
         """Starts a return: PX4 reports its height; its rover lands from the start."""
-        here, home = self.vehicle.place, self.homing.start_return(self.vehicle.place, self.parameters)
+        place, home = self.vehicle.place, self.homing.start_return(self.vehicle.place, self.parameters)
         if not (self.flavour.takeoff_mode and self.armed and self.aloft):
             return
         if not self.flies:
             self.say("RTL: land at destination\t")
-        up = max(home[2] - here[2], self.return_height_at(math.dist(here[:2], home[:2])))
-        top = self.altitude - self.home[2] + up
-        self.say(f"RTL: start return at {top:.0f} m ({up:.0f} m above destination)\t")
+        climb = max(home[2] - place[2], self.return_height_at(math.dist(place[:2], home[:2])))
+        top = self.altitude - self.home[2] + climb
+        self.say(f"RTL: start return at {top:.0f} m ({climb:.0f} m above destination)\t")
 
-    def return_height_at(self, far: float) -> float:
-        """The height of a return from `far` away in metres above home: lower within the cone."""
+    def return_height_at(self, distance: float) -> float:
+        """The height of a return from `distance` away in metres above home: lower within the cone."""
         cone = self.flavour.return_cone
-        near = cone > 0.0 and far <= CONE_RADIUS
-        return min(self.return_height, cone * far) if near else self.return_height
+        is_in_cone = cone > 0.0 and distance <= CONE_RADIUS
+        return min(self.return_height, cone * distance) if is_in_cone else self.return_height
 
     def _first_goal(self) -> Goal:
         """The initial goal of a mode; without a transmitter ArduPilot's throttle is down."""
@@ -385,7 +385,7 @@ class Pilot:
         self.mode = self.intended = self.kind.start
         self._texts, self.setpoint_at, self.stream_at = [], -math.inf, math.inf
         self.apply_parameters()
-        self.pace.enter(guided=False)
+        self.speed_control.enter(guided=False)
         self.set_home(ZERO)
 
     def switch_off(self) -> None:

@@ -59,7 +59,7 @@ def _has_lifted(pilot: Pilot) -> bool:
 
 def start_takeoff(pilot: Pilot, down: float) -> None:
     """Climbs vertically to a height, once the motors have spun up."""
-    pilot.pace.enter(guided=True)
+    pilot.speed_control.enter(guided=True)
     pilot.lifts_at = pilot.now
     if not pilot.vehicle.airborne:
         limits = pilot.kind.limits
@@ -109,8 +109,8 @@ def _count_as_flying(pilot: Pilot) -> None:
     if pilot.flies:
         return
     vehicle = pilot.vehicle
-    speed, far = math.hypot(*vehicle.velocity[:2]), math.dist(vehicle.place[:2], pilot.home[:2])
-    if pilot.role is Role.LAND or (pilot.role is Role.RETURN and far < AT_HOME and speed < ROLLS):
+    speed, distance = math.hypot(*vehicle.velocity[:2]), math.dist(vehicle.place[:2], pilot.home[:2])
+    if pilot.role is Role.LAND or (pilot.role is Role.RETURN and distance < AT_HOME and speed < ROLLS):
         pilot.on_its_way = False
     elif speed > ROLLS:
         pilot.on_its_way = True

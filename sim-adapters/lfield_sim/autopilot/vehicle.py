@@ -45,11 +45,11 @@ class Response:
     """The actual speed for a commanded one: a factor, and an offset in m/s."""
 
     gain: float = 1.0
-    more: float = 0.0
+    offset: float = 0.0
 
     def flown(self, speed: float) -> float:
         """The actual speed for a commanded one; zero stays zero."""
-        return speed * self.gain + self.more if speed > 0.0 else 0.0
+        return speed * self.gain + self.offset if speed > 0.0 else 0.0
 
 
 @dataclass(slots=True)
@@ -122,7 +122,7 @@ class Vehicle:
     yaw_rate_goal: float | None = None
     yaw_rate: float = 0.0
     goal: Goal = field(default_factory=Rest)
-    corral: VelocityFence | None = None
+    velocity_fence: VelocityFence | None = None
     lifting: bool = True
     wind: Wind = field(default_factory=Wind)
     ground: float = 1.0
@@ -174,13 +174,13 @@ class Vehicle:
     def step(self, dt: float) -> None:
         """Advances time by `dt` seconds."""
         before, limits = self.velocity, self.limits
-        north, east, down = self._kept_in(self._stationed(self._set_out(self._target_velocity(), dt)))
-        missing = (north - before[0], east - before[1])
-        felt = (self.acceleration[0] - self.wind.left[0], self.acceleration[1] - self.wind.left[1])
+        north, east, down = self._fenced(self._stationed(self._set_out(self._target_velocity(), dt)))
+        error = (north - before[0], east - before[1])
+        present = (self.acceleration[0] - self.wind.residual[0], self.acceleration[1] - self.wind.residual[1])
         # A vehicle that only leans, or falls, moves with the wind.
-        self.wind.meet(before, dt, flies=self.airborne, goes=isinstance(self.goal, Lean | Fall))
-        lean = eased(felt, missing, self._strongest(missing), limits.jerk, dt)
-        lean = self.wind.bear(lean, before, limits.tilt)
+        self.wind.apply(before, dt, flies=self.airborne, drifts=isinstance(self.goal, Lean | Fall))
+        lean = eased(present, error, self._strongest(error), limits.jerk, dt)
+        lean = self.wind.actual_acceleration(lean, before, limits.tilt)
         vertical = _towards(before[2], down, self._vertical(down) * dt)
         if self.sags:
             vertical = before[2] + (self.sags - before[2]) * dt / SLUGGISH
@@ -207,8 +207,8 @@ class Vehicle:
                 ahead = (self.velocity[0] + north, self.velocity[1] + east)
                 return self._bounded((*ahead, down))
             case Rise(down, speed):
-                left = max(0.0, self.place[2] - down)
-                return (0.0, 0.0, -_braking(left, speed, self.limits.vertical_acceleration))
+                remaining = max(0.0, self.place[2] - down)
+                return (0.0, 0.0, -_braking(remaining, speed, self.limits.vertical_acceleration))
             case Sink():
                 return (0.0, 0.0, SINK)
             case Descend():
@@ -225,12 +225,12 @@ class Vehicle:
         if share == 1.0:
             return target
         # The maximum deficit of this velocity, which integral control approaches.
-        most, more = 1.0 / share - 1.0, min(1.0, dt / self.limits.learns)
-        sums = zip(self._learned, (most * north, most * east), strict=True)
-        learned = tuple(had + more * (all_of_it - had) for had, all_of_it in sums)
-        size, largest = math.hypot(*learned), most * math.hypot(north, east)
-        kept = min(1.0, largest / size) if size > 0.0 else 1.0
-        self._learned = (learned[0] * kept, learned[1] * kept)
+        deficit, gain = 1.0 / share - 1.0, min(1.0, dt / self.limits.learns)
+        sums = zip(self._learned, (deficit * north, deficit * east), strict=True)
+        learned = tuple(value + gain * (limit - value) for value, limit in sums)
+        length, largest = math.hypot(*learned), deficit * math.hypot(north, east)
+        scale = min(1.0, largest / length) if length > 0.0 else 1.0
+        self._learned = (learned[0] * scale, learned[1] * scale)
         return (share * (north + self._learned[0]), share * (east + self._learned[1]), target[2])
 
     def _stationed(self, target: Vector) -> Vector:
@@ -251,16 +251,16 @@ class Vehicle:
             return math.dist(self.place[:2], self.goal.place[:2]) > NEAR
         return self.limits.nose_follows
 
-    def _strongest(self, missing: tuple[float, float]) -> float:
+    def _strongest(self, error: tuple[float, float]) -> float:
         """The maximum horizontal acceleration or deceleration now."""
         if isinstance(self.goal, Lean):
             return math.hypot(self.goal.north, self.goal.east)
         if isinstance(self.goal, Track):
             return GRAVITY * math.tan(self.limits.tilt)
-        goal, along = self.goal, sum(m * v for m, v in zip(missing, self.velocity, strict=False))
+        goal, along = self.goal, sum(m * v for m, v in zip(error, self.velocity, strict=False))
         gains = isinstance(goal, Keep) and along >= 0.0
         eases = goal.eases if isinstance(goal, Rest) else self.limits.eases * gains
-        easy = math.hypot(*missing) / eases + STILL if eases else math.inf
+        easy = math.hypot(*error) / eases + STILL if eases else math.inf
         return min(self.limits.acceleration, easy)
 
     def _vertical(self, down: float) -> float:
@@ -273,27 +273,27 @@ class Vehicle:
             self.lifting = False
         return self.limits.lift if self.lifting else self.limits.vertical_acceleration
 
-    def _kept_in(self, velocity: Vector) -> Vector:
+    def _fenced(self, velocity: Vector) -> Vector:
         """A velocity limited so that the vehicle stops inside the fence."""
-        if self.corral is None:
+        if self.velocity_fence is None:
             return velocity
-        north, east = self.place[0] - self.corral.north, self.place[1] - self.corral.east
-        far = math.hypot(north, east)
-        if far < 1e-6:
+        north, east = self.place[0] - self.velocity_fence.north, self.place[1] - self.velocity_fence.east
+        distance = math.hypot(north, east)
+        if distance < 1e-6:
             return velocity
-        out = (north / far, east / far)
+        out = (north / distance, east / distance)
         outward = velocity[0] * out[0] + velocity[1] * out[1]
-        allowed = _braking(max(0.0, self.corral.radius - far), math.inf, self.limits.braking)
-        over = max(0.0, outward - allowed)
-        return (velocity[0] - out[0] * over, velocity[1] - out[1] * over, velocity[2])
+        allowed = _braking(max(0.0, self.velocity_fence.radius - distance), math.inf, self.limits.braking)
+        excess = max(0.0, outward - allowed)
+        return (velocity[0] - out[0] * excess, velocity[1] - out[1] * excess, velocity[2])
 
     def _approach(self, place: Vector) -> Vector:
         limits = self.limits
         north, east, down = _minus(place, self.place)
-        far = math.hypot(north, east)
+        distance = math.hypot(north, east)
         fastest_level = limits.goal_response.flown(min(limits.cruise, limits.top))
-        speed = _braking(far, fastest_level, limits.braking)
-        share = speed / far if far > 1e-9 else 0.0
+        speed = _braking(distance, fastest_level, limits.braking)
+        share = speed / distance if distance > 1e-9 else 0.0
         fastest = limits.descend if down > 0 else limits.climb
         vertical = math.copysign(_braking(abs(down), fastest, limits.vertical_acceleration), down)
         return (north * share, east * share, vertical)
@@ -301,17 +301,17 @@ class Vehicle:
     def _tracked(self, place: Vector, velocity: Vector) -> Vector:
         """The velocity of PX4's position controller, within the maximum speed."""
         gains = (LEVEL_GAIN, LEVEL_GAIN, HEIGHT_GAIN)
-        way = zip(_minus(place, self.place), velocity, gains, strict=True)
-        north, east, down = (gain * error + ahead for error, ahead, gain in way)
+        axes = zip(_minus(place, self.place), velocity, gains, strict=True)
+        north, east, down = (gain * error + ahead for error, ahead, gain in axes)
         slowly = max(down, -self.limits.takeoff) if self.lifting else down
         return self._bounded((north, east, slowly))
 
     def _around(self, centre: Vector, radius: float, speed: float) -> Vector:
         """The velocity along the circle, and towards it from outside."""
         north, east, down = _minus(self.place, centre)
-        far = math.hypot(north, east)
-        out = (north / far, east / far) if far > 1e-6 else (1.0, 0.0)
-        inward = max(-self.limits.cruise, min(self.limits.cruise, radius - far))
+        distance = math.hypot(north, east)
+        out = (north / distance, east / distance) if distance > 1e-6 else (1.0, 0.0)
+        inward = max(-self.limits.cruise, min(self.limits.cruise, radius - distance))
         along = (-out[1] * speed, out[0] * speed)
         return self._bounded((out[0] * inward + along[0], out[1] * inward + along[1], -down))
 
@@ -369,16 +369,16 @@ def _towards(value: float, goal: float, change: float) -> float:
 
 
 def eased(
-    felt: tuple[float, ...], missing: tuple[float, float], most: float, jerk: float, dt: float
+    present: tuple[float, ...], error: tuple[float, float], limit: float, jerk: float, dt: float
 ) -> tuple[float, float]:
-    """The next acceleration towards a velocity that is `missing`: within `most`, limited by `jerk`.
+    """The next acceleration for a velocity error: at most `limit`, and changed by at most `jerk`.
 
     The acceleration decreases before the velocity is reached, so that it ends at zero.
     """
-    size = math.hypot(*missing)
+    size = math.hypot(*error)
     if size < jerk * dt * dt:
-        return (missing[0] / dt, missing[1] / dt)
-    strength = min(most, math.sqrt(1.6 * jerk * size), size / dt)
-    change = (missing[0] / size * strength - felt[0], missing[1] / size * strength - felt[1])
+        return (error[0] / dt, error[1] / dt)
+    strength = min(limit, math.sqrt(1.6 * jerk * size), size / dt)
+    change = (error[0] / size * strength - present[0], error[1] / size * strength - present[1])
     share = min(1.0, jerk * dt / math.hypot(*change)) if any(change) else 0.0
-    return (felt[0] + change[0] * share, felt[1] + change[1] * share)
+    return (present[0] + change[0] * share, present[1] + change[1] * share)

@@ -42,7 +42,7 @@ class Wind:
     rng: Random = field(default_factory=lambda: Random(1))
     push: Level = CALM
     load: float = 1.0
-    _borne: Level = CALM
+    _compensated: Level = CALM
     _age: float = 0.0
     _lasts: float = 0.0
     _pause: float = 0.0
@@ -74,42 +74,49 @@ class Wind:
         return math.hypot(velocity[0] - north, velocity[1] - east)
 
     @property
-    def left(self) -> Level:
+    def residual(self) -> Level:
         """The uncompensated push, added to every commanded acceleration."""
-        return (self.push[0] - self._borne[0], self.push[1] - self._borne[1])
+        return (self.push[0] - self._compensated[0], self.push[1] - self._compensated[1])
 
-    def meet(self, velocity: Vector, dt: float, *, flies: bool, goes: bool) -> None:
-        """Pushes for `dt` seconds; a vehicle that `goes` with the wind does not lean."""
+    def apply(self, velocity: Vector, dt: float, *, flies: bool, drifts: bool) -> None:
+        """Pushes for `dt` seconds; a vehicle that `drifts` with the wind does not lean."""
         air = self.velocity
         self.push, self.load = CALM, 1.0
         if flies and air != CALM:
             still = _drag(-velocity[0], -velocity[1])
             blown = _drag(air[0] - velocity[0], air[1] - velocity[1])
             self.push = (blown[0] - still[0], blown[1] - still[1])
-        left, more = self.left, min(1.0, dt / ANSWERS)
-        leans = flies and not goes
-        self._borne = (self._borne[0] + left[0] * more, self._borne[1] + left[1] * more) if leans else CALM
+        residual, gain = self.residual, min(1.0, dt / ANSWERS)
+        leans = flies and not drifts
+        self._compensated = (
+            (self._compensated[0] + residual[0] * gain, self._compensated[1] + residual[1] * gain)
+            if leans
+            else CALM
+        )
 
-    def bear(self, target: Level, velocity: Vector, tilt: float) -> Level:
+    def actual_acceleration(self, target: Level, velocity: Vector, tilt: float) -> Level:
         """The actual acceleration for a commanded one, with the lean by `tilt` for it and the wind.
 
         The lean of still air is always available.
         """
-        if self.push == self._borne == CALM:
+        if self.push == self._compensated == CALM:
             return target
         still = _drag(-velocity[0], -velocity[1])
         calm = (target[0] - still[0], target[1] - still[1])
-        lean = (calm[0] - self._borne[0], calm[1] - self._borne[1])
-        most = max(math.tan(min(tilt, STEEPEST)) * GRAVITY, math.hypot(*calm))
-        share = min(1.0, most / math.hypot(*lean)) if any(lean) else 1.0
+        lean = (calm[0] - self._compensated[0], calm[1] - self._compensated[1])
+        limit = max(math.tan(min(tilt, STEEPEST)) * GRAVITY, math.hypot(*calm))
+        share = min(1.0, limit / math.hypot(*lean)) if any(lean) else 1.0
         # Rotor power grows with thrust to the power 1.5 (momentum theory).
         thrust = math.hypot(GRAVITY, lean[0] * share, lean[1] * share)
         self.load = (thrust / math.hypot(GRAVITY, *calm)) ** 1.5
-        left, lost = self.left, 1.0 - share
-        return (target[0] + left[0] - lean[0] * lost, target[1] + left[1] - lean[1] * lost)
+        residual, lost_share = self.residual, 1.0 - share
+        return (
+            target[0] + residual[0] - lean[0] * lost_share,
+            target[1] + residual[1] - lean[1] * lost_share,
+        )
 
 
 def _drag(north: float, east: float) -> Level:
     """The acceleration by air that passes with this velocity."""
-    each = GRAVITY * math.hypot(north, east) / REFERENCE**2
-    return (north * each, east * each)
+    factor = GRAVITY * math.hypot(north, east) / REFERENCE**2
+    return (north * factor, east * factor)

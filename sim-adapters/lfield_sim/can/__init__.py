@@ -78,8 +78,8 @@ class CanSim:
             text = spec_of(binding)
             id = parse(text).id
             specs[id] = merged(specs[id], text) if id in specs else text
-        chosen = [argument for text in specs.values() for argument in ("--device", text)]
-        return ["--listen", "socketcand:127.0.0.1:0", *chosen]
+        options = [argument for text in specs.values() for argument in ("--device", text)]
+        return ["--listen", "socketcand:127.0.0.1:0", *options]
 
     def run(self, args: argparse.Namespace) -> int:
         """Serves until it is stopped; returns 0."""

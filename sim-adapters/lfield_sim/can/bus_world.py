@@ -56,9 +56,9 @@ class BusWorld:
         self.bus = CanBus(faults, bitrate=bitrate, data_bitrate=data_bitrate, seed=seed)
         self._faults, self._now, self._next_tick = faults, start, start + TICK
         self._was_off = False
-        self._places = [_DeviceAtPort(device, self.bus, faults) for device in devices]
-        for place in self._places:
-            place.power(on=True, now=start)
+        self._devices = [_DeviceAtPort(device, self.bus, faults) for device in devices]
+        for device in self._devices:
+            device.set_power(powered=True, now=start)
 
     def due(self) -> float:
         """The time when `advance` is next due."""
@@ -75,12 +75,12 @@ class BusWorld:
                 self._next_tick += TICK
 
     def _tick(self, now: float) -> None:
-        off = bool(self._faults.get("bus_off"))
-        if off and not self._was_off:
+        is_off = bool(self._faults.get("bus_off"))
+        if is_off and not self._was_off:
             self.bus.announce(ERROR_BUS_OFF, now)
-        self._was_off = off
-        for place in self._places:
-            place.step(now)
+        self._was_off = is_off
+        for device in self._devices:
+            device.step(now)
 
 
 class _DeviceAtPort:
@@ -89,28 +89,28 @@ class _DeviceAtPort:
     def __init__(self, device: BusDevice, bus: CanBus, faults: Faults) -> None:
         self._device, self._bus, self._faults = device, bus, faults
         self._port = BusPort(self._on_frame, device.id)
-        self._on = False
+        self._is_powered = False
         bus.attach(self._port)
 
-    def power(self, *, on: bool, now: float) -> None:
+    def set_power(self, *, powered: bool, now: float) -> None:
         """Switches the power of the device."""
-        self._on = on
-        if on:
+        self._is_powered = powered
+        if powered:
             self._send(self._device.power_up(), now)
         else:
             self._device.power_down()
 
     def step(self, now: float) -> None:
         """Runs one tick of the model."""
-        silent = bool(self._faults.get("silence", self._device.id))
-        if silent is self._on:
-            self.power(on=not silent, now=now)
+        is_silent = bool(self._faults.get("silence", self._device.id))
+        if is_silent is self._is_powered:
+            self.set_power(powered=not is_silent, now=now)
         frames = self._device.step(TICK)
-        if self._on:
+        if self._is_powered:
             self._send(frames, now)
 
     def _on_frame(self, frame: CanFrame, now: float) -> None:
-        if self._on:
+        if self._is_powered:
             self._send(self._device.on_frame(frame), now)
 
     def _send(self, frames: Sequence[CanFrame], now: float) -> None:

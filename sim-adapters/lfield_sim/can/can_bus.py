@@ -125,8 +125,8 @@ class CanBus:
     def send(self, port: BusPort, frame: CanFrame, now: float) -> None:
         """Queues a port's frame."""
         port.waiting += 1
-        ready = now + float(self._faults.get("delay", port.device))
-        heapq.heappush(self._later, (ready, next(self._count), frame, port))
+        ready_at = now + float(self._faults.get("delay", port.device))
+        heapq.heappush(self._later, (ready_at, next(self._count), frame, port))
 
     def due(self) -> float:
         """The time when `advance` is next due; infinity when the bus is idle."""
@@ -169,10 +169,10 @@ class CanBus:
         else:
             port.waiting -= 1
             port.errors = max(0, port.errors - 1)
-            lost = self._faults.get("loss", port.device)
+            sender_loss = self._faults.get("loss", port.device)
             for other in list(self._ports):
                 if other is not port and other.can_communicate(now, self.bitrate):
-                    self._deliver(frame, lost, other, now)
+                    self._deliver(frame, sender_loss, other, now)
 
     def _corrupted(self, frame: CanFrame, port: BusPort, now: float) -> None:
         port.errors += 8
@@ -185,8 +185,8 @@ class CanBus:
         if not port.device:
             port.on_frame(CanFrame(ERROR_BUS_OFF, error=True), now)
 
-    def _deliver(self, frame: CanFrame, lost: float, other: BusPort, now: float) -> None:
-        loss = max(lost, self._faults.get("loss", other.device))
+    def _deliver(self, frame: CanFrame, sender_loss: float, other: BusPort, now: float) -> None:
+        loss = max(sender_loss, self._faults.get("loss", other.device))
         if not self._cut_off(other) and self._random.random() >= loss:
             other.on_frame(frame, now)
 

@@ -39,12 +39,12 @@ class CanMotor:
         self.data = data
         self.angle = self.speed = self.torque = 0.0
         self.stuck = self.overheated = False
-        self._warmth = AMBIENT
+        self._temperature = AMBIENT
 
     @property
     def temperature(self) -> float:
         """Temperature of the winding in degrees Celsius."""
-        return OVERHEATED if self.overheated else self._warmth
+        return OVERHEATED if self.overheated else self._temperature
 
     @property
     def current(self) -> float:
@@ -64,28 +64,28 @@ class CanMotor:
 
     def track(self, speed: float, dt: float, limit: float) -> None:
         """Applies the torque that reaches `speed` after this step, within `limit`."""
-        needed = self.data.inertia * (speed - self.speed) / dt + self._resisting(speed)
+        needed = self.data.inertia * (speed - self.speed) / dt + self._resisting_torque(speed)
         self.drive(max(-limit, min(limit, needed)), dt)
 
     def drive(self, torque: float, dt: float) -> None:
         """Applies a torque."""
         self.torque = torque
-        self._move((torque - self._resisting(self.speed)) / self.data.inertia, dt)
+        self._move((torque - self._resisting_torque(self.speed)) / self.data.inertia, dt)
 
-    def rest(self, dt: float) -> None:
+    def step_unpowered(self, dt: float) -> None:
         """Removes the power: the brake stops and holds the motor; without one it coasts and its load moves
         it.
         """
         self.torque = 0.0
         if self.data.brake:
-            holding, pulled = 2.0 * self.data.max_torque, 0.0
+            holding_torque, load_torque = 2.0 * self.data.max_torque, 0.0
         else:
-            holding, pulled = DRY * self.data.rated_torque, -self._resisting(self.speed)
-        most = holding / self.data.inertia * dt
-        free = self.speed + pulled / self.data.inertia * dt
-        self._move((free - max(-most, min(most, free)) - self.speed) / dt, dt)
+            holding_torque, load_torque = DRY * self.data.rated_torque, -self._resisting_torque(self.speed)
+        max_change = holding_torque / self.data.inertia * dt
+        free_speed = self.speed + load_torque / self.data.inertia * dt
+        self._move((free_speed - max(-max_change, min(max_change, free_speed)) - self.speed) / dt, dt)
 
-    def _resisting(self, speed: float) -> float:
+    def _resisting_torque(self, speed: float) -> float:
         return self.data.load + self.data.friction * speed
 
     def _move(self, acceleration: float, dt: float) -> None:
@@ -93,8 +93,8 @@ class CanMotor:
         self.speed = 0.0 if self.stuck else max(-top, min(top, self.speed + acceleration * dt))
         self.angle += self.speed * dt
         rated = self.data.rated_torque / self.data.torque_constant
-        aim = AMBIENT + RATED_WARMING * (self.current / rated) ** 2
-        self._warmth += (aim - self._warmth) * dt / WARMING_TIME
+        final_temperature = AMBIENT + RATED_WARMING * (self.current / rated) ** 2
+        self._temperature += (final_temperature - self._temperature) * dt / WARMING_TIME
 
 
 @dataclass(slots=True)
@@ -121,7 +121,7 @@ class Trajectory:
         self._change(target, acceleration, deceleration, dt)
 
     def _change(self, target: float, acceleration: float, deceleration: float, dt: float) -> None:
-        faster = target * self.velocity >= 0.0 and abs(target) > abs(self.velocity)
-        most = (acceleration if faster else deceleration) * dt
-        self.velocity += max(-most, min(most, target - self.velocity))
+        accelerates = target * self.velocity >= 0.0 and abs(target) > abs(self.velocity)
+        max_change = (acceleration if accelerates else deceleration) * dt
+        self.velocity += max(-max_change, min(max_change, target - self.velocity))
         self.position += self.velocity * dt

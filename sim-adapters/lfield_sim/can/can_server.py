@@ -14,7 +14,7 @@ from lfield_sim.state_log import StateLog
 
 
 async def serve(
-    places: Sequence[tuple[str, str, int]],
+    endpoints: Sequence[tuple[str, str, int]],
     devices: Sequence[BusDevice],
     faults: Faults,
     log: StateLog,
@@ -28,15 +28,15 @@ async def serve(
     hub = BusHub(devices, faults, bitrate, log.write_changes)
     adapters: list[BusAdapter] = []
     try:
-        for place in places:
-            adapters.append(await _make_adapter(hub, *place))
+        for endpoint in endpoints:
+            adapters.append(await _make_adapter(hub, *endpoint))
             adapters[-1].plug()
         faults.watch(lambda: _plug(adapters, out=bool(faults.get("unplug"))))
-        endpoint, *others = [adapter.endpoint for adapter in adapters]
+        first_endpoint, *others = [adapter.endpoint for adapter in adapters]
         _plug(adapters, out=bool(faults.get("unplug")))
         await serve_until_stopped(
             "can",
-            endpoint,
+            first_endpoint,
             " ".join([*others, summary]),
             faults,
             devices=names,
@@ -59,10 +59,10 @@ def _plug(adapters: Sequence[BusAdapter], *, out: bool) -> None:
             adapter.plug()
 
 
-async def _make_adapter(hub: BusHub, kind: str, place: str, port: int) -> BusAdapter:
+async def _make_adapter(hub: BusHub, kind: str, host_or_path: str, port: int) -> BusAdapter:
     """An adapter that is not plugged in yet. Raises AddressError."""
     if kind == "slcan-pty":
-        return SlcanAdapter(hub, place)
+        return SlcanAdapter(hub, host_or_path)
     adapter = SocketcandAdapter(hub)
-    await adapter.listen(place, port)
+    await adapter.listen(host_or_path, port)
     return adapter

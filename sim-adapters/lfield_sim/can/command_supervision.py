@@ -1,6 +1,6 @@
 """Supervision of a command by its receiver: counter, checksum and deadline, as in control units. Pure.
 
-A frame with a wrong checksum, or whose counter stands still or has jumped by more than MAX_JUMP, is not
+A frame with a wrong checksum, or whose counter is unchanged or has jumped by more than MAX_JUMP, is not
 used. After MAX_ERRORS of them in a row, or without a good frame for MAX_LATE periods, communication has
 failed, until QUALIFYING good frames follow each other. CRCs are those of crccheck.
 """
@@ -24,8 +24,8 @@ MAX_JUMP, MAX_ERRORS, MAX_LATE = 3, 3, 5
 QUALIFYING = 2
 
 
-def _nibble_sum(identifier: int, rest: bytes) -> int:
-    digits = f"{identifier:08X}{rest.hex()}"
+def _nibble_sum(identifier: int, data: bytes) -> int:
+    digits = f"{identifier:08X}{data.hex()}"
     return (8 + 3 * (identifier > 0x7FF) - sum(int(digit, 16) for digit in digits)) % 16
 
 
@@ -66,7 +66,7 @@ class Supervision:
     sent: int = -1
     last: int | None = None
     errors: int = 0
-    good: int = 0
+    good_frames: int = 0
     age: float = 0.0
     failed: bool = True
 
@@ -88,27 +88,27 @@ class Supervision:
     def is_accepted(self, data: bytes, counter: int) -> bool:
         """Whether a received frame is used."""
         if self._is_wrong(data, counter):
-            self.good, self.errors = 0, self.errors + 1
+            self.good_frames, self.errors = 0, self.errors + 1
             self.failed = self.failed or self.errors >= MAX_ERRORS
             return False
-        self.errors, self.age, self.good = 0, 0.0, self.good + 1
-        self.failed = self.failed and self.good < QUALIFYING
+        self.errors, self.age, self.good_frames = 0, 0.0, self.good_frames + 1
+        self.failed = self.failed and self.good_frames < QUALIFYING
         return not self.failed
 
     def step(self, dt: float) -> None:
         """Advances time by `dt` seconds."""
         self.age += dt
         if self.period and self.age > MAX_LATE * self.period:
-            self.failed, self.good = True, 0
+            self.failed, self.good_frames = True, 0
 
     def _is_wrong(self, data: bytes, counter: int) -> bool:
         last, self.last = self.last, counter
         if self.checksum:
             first, count = self._place()
-            found = int.from_bytes(data[first : first + count], _order(self._signal))
+            received_sum = int.from_bytes(data[first : first + count], _order(self._signal))
             if self.kind == "honda":
-                found = found >> self._signal.start % 8 // 4 * 4 & 0xF
-            if found != self._sum(data, counter):
+                received_sum = received_sum >> self._signal.start % 8 // 4 * 4 & 0xF
+            if received_sum != self._sum(data, counter):
                 return True
         if not self.counter or last is None:
             return False
@@ -117,11 +117,11 @@ class Supervision:
     def _sum(self, data: bytes, counter: int) -> int:
         first, count = self._place()
         data = data[: self.message.length]
-        kept = b""
+        neighbour = b""
         if self.kind == "honda":
-            kept = bytes([data[first] & (0xF0 if self._signal.start % 8 < 4 else 0x0F)])
-        rest = data[:first] + kept + data[first + count :]
-        return _SUMS[self.kind](self.message.frame_id, rest, self.ids, counter, len(data))
+            neighbour = bytes([data[first] & (0xF0 if self._signal.start % 8 < 4 else 0x0F)])
+        protected = data[:first] + neighbour + data[first + count :]
+        return _SUMS[self.kind](self.message.frame_id, protected, self.ids, counter, len(data))
 
     @property
     def _signal(self) -> Signal:
@@ -142,27 +142,30 @@ def supervisions(
     """The supervisions in the texts of a device, by message: `Command.Counter:15`,
     `Command.Check:e2e_1/0x123` and `Command:0.02`, several joined by +. Raises UsageError.
     """
-    found: dict[str, Supervision] = {}
+    supervisions_by_message: dict[str, Supervision] = {}
 
-    def of(name: str) -> Supervision:
+    def supervision_of(name: str) -> Supervision:
         message, _, signal = name.partition(".")
         if message not in messages or (signal and signal not in messages[message].signal_tree):
             raise UsageError(f"'{name}' is not in the file")
-        return found.setdefault(message, Supervision(messages[message]))
+        return supervisions_by_message.setdefault(message, Supervision(messages[message]))
 
     for name, values in _pairs(counters):
-        one = of(name)
-        one.counter = name.partition(".")[2]
-        one.values = int(values or 1 << one.message.get_signal_by_name(one.counter).length)
+        supervision = supervision_of(name)
+        supervision.counter = name.partition(".")[2]
+        supervision.values = int(
+            values or 1 << supervision.message.get_signal_by_name(supervision.counter).length
+        )
     for name, text in _pairs(checksums):
         kind, *ids = text.split("/")
         if kind not in _SUMS:
             raise UsageError(f"'{kind}' is not a checksum; there are {', '.join(_SUMS)}")
-        one = of(name)
-        one.checksum, one.kind, one.ids = name.partition(".")[2], kind, tuple(int(each, 0) for each in ids)
+        supervision = supervision_of(name)
+        supervision.checksum, supervision.kind = name.partition(".")[2], kind
+        supervision.ids = tuple(int(each, 0) for each in ids)
     for name, period in _pairs(cycles):
-        of(name).period = float(period or (messages[name].cycle_time or 0) / 1000.0)
-    return found
+        supervision_of(name).period = float(period or (messages[name].cycle_time or 0) / 1000.0)
+    return supervisions_by_message
 
 
 def _pairs(texts: str) -> list[tuple[str, str]]:

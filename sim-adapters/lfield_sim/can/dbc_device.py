@@ -30,7 +30,7 @@ PERIOD = 0.1
 _COMMAND_TERMS = frozenset({"target", "command", "cmd", "set", "setpoint", "desired", "demand", "goal"})
 _STATUS_TERMS = frozenset({"actual", "status", "measured", "feedback", "present", "is"})
 _FAULT_TERMS, _HEAT_TERMS = frozenset({"fault", "error"}), frozenset({"temperature", "temp"})
-_TROUBLES = ("overcurrent", "overheat", "follow_error")
+_DRIVE_FAULTS = ("overcurrent", "overheat", "follow_error")
 
 #: Bit 31 of an id marks 29 bits; many files omit it.
 _EXTENDED, _STANDARD, _LONGEST = 1 << 31, 0x7FF, 0x1FFFFFFF
@@ -107,16 +107,20 @@ class DbcDevice:
             self._commanded.clear()
         for supervision in self._supervised.values():
             supervision.step(dt)
-        refused = any(one.failed for one in self._supervised.values() if one.message not in self._data.own)
+        refused = any(
+            supervision.failed
+            for supervision in self._supervised.values()
+            if supervision.message not in self._data.own
+        )
         if refused:
             self._commanded.clear()
-        tripped = refused or any(self._flaw(name) for name in _TROUBLES)
+        tripped = refused or any(self._flaw(name) for name in _DRIVE_FAULTS)
         for message in self._data.own:
             for signal in message.signals:
                 self._move((message.name, signal.name), signal, tripped, dt)
         due = [message for message in self._data.own if self._is_due(message, dt)]
-        quiet = self._flaw("lost_tpdo") or self._flaw("lost_heartbeat")
-        return [] if quiet else [self._message(message) for message in due]
+        is_silent = self._flaw("lost_tpdo") or self._flaw("lost_heartbeat")
+        return [] if is_silent else [self._message(message) for message in due]
 
     def facts(self) -> Facts:
         """The commands, in thousandths."""
@@ -127,7 +131,7 @@ class DbcDevice:
         self._since = dict.fromkeys((message.name for message in self._data.own), 0.0)
         self._commanded: dict[SignalName, float] = {}
         self._command_age = 0.0
-        self._supervised = {name: replace(one) for name, one in self._data.supervised.items()}
+        self._supervised = {name: replace(supervision) for name, supervision in self._data.supervised.items()}
 
     def _on_command(self, message: str, values: Mapping[str, Any]) -> None:
         for signal, value in values.items():
@@ -135,25 +139,25 @@ class DbcDevice:
                 self._commanded[message, signal] = float(value)
                 self._command_age = 0.0
 
-    def _move(self, place: SignalName, signal: Signal, tripped: bool, dt: float) -> None:
+    def _move(self, key: SignalName, signal: Signal, tripped: bool, dt: float) -> None:
         terms = _terms(signal.name)
         if terms & _HEAT_TERMS:
             goal = OVERHEATED if self._flaw("overheat") else AMBIENT
-            self._values[place] = _within(signal, goal)
+            self._values[key] = _within(signal, goal)
         elif terms & _FAULT_TERMS:
-            self._values[place] = _within(signal, float(tripped))
-        elif place in self._data.links and not self._flaw("stuck"):
-            self._follow(place, signal, tripped, dt)
+            self._values[key] = _within(signal, float(tripped))
+        elif key in self._data.links and not self._flaw("stuck"):
+            self._follow(key, signal, tripped, dt)
 
-    def _follow(self, place: SignalName, signal: Signal, tripped: bool, dt: float) -> None:
+    def _follow(self, key: SignalName, signal: Signal, tripped: bool, dt: float) -> None:
         """Follows the command; without one, or tripped, a signal stays, and single bits reset."""
-        command = None if tripped else self._commanded.get(self._data.links[place])
+        command = None if tripped else self._commanded.get(self._data.links[key])
         at_once = signal.length == 1 or bool(signal.choices)
         if at_once:
-            self._values[place] = _within(signal, _initial(signal) if command is None else command)
+            self._values[key] = _within(signal, _initial(signal) if command is None else command)
         elif command is not None:
-            goal, value = _within(signal, command), self._values[place]
-            self._values[place] = value + (goal - value) * -math.expm1(-dt / self._data.lag)
+            goal, value = _within(signal, command), self._values[key]
+            self._values[key] = value + (goal - value) * -math.expm1(-dt / self._data.lag)
 
     def _is_due(self, message: Message, dt: float) -> bool:
         period = (message.cycle_time or 0) / 1000.0 or PERIOD
@@ -202,7 +206,7 @@ def load(
     `counters`, `checksums` and `cycles` are as in `supervisions`.
     """
     try:
-        text = _mended(_decoded(Path(file).read_bytes()))
+        text = _repaired(_decoded(Path(file).read_bytes()))
         # Not strict: signals of many files overlap, or exceed their frames.
         database: Any = cantools.database.load_string(text, database_format="dbc", strict=False)
     except OSError as error:
@@ -245,8 +249,8 @@ def _end(signal: Signal) -> int:
 
 def _attribute(message: Message, name: str) -> Any:
     """The number of an attribute of a message; None if the file has none."""
-    found = message.dbc.attributes.get(name) if message.dbc is not None else None
-    return found.value if found is not None else None
+    attribute = message.dbc.attributes.get(name) if message.dbc is not None else None
+    return attribute.value if attribute is not None else None
 
 
 def _key(identifier: int, extended: bool) -> int:
@@ -264,9 +268,9 @@ def _links(messages: Iterable[Message], own: list[Message]) -> dict[SignalName, 
     commands = {
         _terms(s.name) - _COMMAND_TERMS: (m.name, s.name) for m in messages if m not in own for s in m.signals
     }
-    places = [(m.name, s.name) for m in own for s in m.signals]
-    named = [(place, _terms(place[1]) - _STATUS_TERMS) for place in places]
-    return {place: commands[terms] for place, terms in named if terms in commands}
+    keys = [(m.name, s.name) for m in own for s in m.signals]
+    terms_by_key = [(key, _terms(key[1]) - _STATUS_TERMS) for key in keys]
+    return {key: commands[terms] for key, terms in terms_by_key if terms in commands}
 
 
 def _senders(messages: Iterable[Message]) -> list[str]:
@@ -281,13 +285,13 @@ def _device(file: str, messages: list[Message]) -> str:
         for sender in m.senders
         if any(_terms(s.name) & _COMMAND_TERMS for s in m.signals)
     }
-    rest = [sender for sender in _senders(messages) if sender not in commanding]
-    if len(rest) != 1:
+    candidates = [sender for sender in _senders(messages) if sender not in commanding]
+    if len(candidates) != 1:
         raise UsageError(
             f"{file} does not define which node is the device; add commands=MESSAGE+MESSAGE, or node=NAME of "
             f"{', '.join(_senders(messages)) or 'none: it names no senders'}"
         )
-    return rest[0]
+    return candidates[0]
 
 
 def _sender(messages: Iterable[Message], status: str) -> str:
@@ -326,11 +330,11 @@ def _raw(signal: Signal, value: float) -> float:
 
 def _within(signal: Signal, value: float) -> float:
     """A value within the range of the file and of the signal's bits."""
-    ends = [end * float(signal.scale) + float(signal.offset) for end in _bounds(signal)]
-    low, high = min(ends), max(ends)
-    least, most = signal.minimum, signal.maximum
-    if least is not None and most is not None and least < most:
-        low, high = max(low, float(least)), min(high, float(most))
+    bounds = [bound * float(signal.scale) + float(signal.offset) for bound in _bounds(signal)]
+    low, high = min(bounds), max(bounds)
+    minimum, maximum = signal.minimum, signal.maximum
+    if minimum is not None and maximum is not None and minimum < maximum:
+        low, high = max(low, float(minimum)), min(high, float(maximum))
     return max(low, min(high, value))
 
 
@@ -347,15 +351,15 @@ def _decoded(data: bytes) -> str:
         return data.decode("cp1252", errors="replace")
 
 
-def _mended(text: str) -> str:
+def _repaired(text: str) -> str:
     """The text without value names of missing signals, and with bit 31 in every id that needs it."""
-    places, message = set(), ""
+    signals, message = set(), ""
     for line in text.splitlines():
         if match := _MESSAGE.match(line):
             message = match[1]
         elif match := _SIGNAL.match(line):
-            places.add((message, match[1]))
-    text = _VALUES.sub(lambda match: match[0] if (match[1], match[2]) in places else "", text)
+            signals.add((message, match[1]))
+    text = _VALUES.sub(lambda match: match[0] if (match[1], match[2]) in signals else "", text)
     return _ID.sub(lambda match: match[1] + _with_bit(int(match[2])), text)
 
 

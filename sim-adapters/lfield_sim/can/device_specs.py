@@ -81,8 +81,8 @@ def merged(first: str, second: str) -> str:
     """The device of two texts with one id: of a DroneCAN node, with the functions of both."""
     if not first.startswith("dronecan:"):
         return first
-    more = second.partition(FUNCTIONS_OF_NODE)[2]
-    return first if more in first.partition(FUNCTIONS_OF_NODE)[2].split("+") else f"{first}+{more}"
+    functions = second.partition(FUNCTIONS_OF_NODE)[2]
+    return first if functions in first.partition(FUNCTIONS_OF_NODE)[2].split("+") else f"{first}+{functions}"
 
 
 def _supervised(binding: DeviceBinding) -> str:
@@ -128,11 +128,11 @@ def _motor(spec: DeviceSpec, data: CanMotorData, others: Set[str] = frozenset())
     return replace(data, **changed)
 
 
-def check_options(spec: DeviceSpec, known: Set[str]) -> None:
+def check_options(spec: DeviceSpec, allowed: Set[str]) -> None:
     """Refuses an unknown option of a device. Raises UsageError."""
     for key in spec.options:
-        if key not in known:
-            raise UsageError(f"{spec.kind} has no '{key}'; it has: {', '.join(sorted(known))}")
+        if key not in allowed:
+            raise UsageError(f"{spec.kind} has no '{key}'; it has: {', '.join(sorted(allowed))}")
 
 
 def number(spec: DeviceSpec, key: str) -> float:
@@ -177,8 +177,8 @@ def _dronecan(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:
         from lfield_sim.can.dronecan_functions import functions_of
         from lfield_sim.can.dronecan_node import DroneCanNode
     except ImportError:
-        needs = "a simulated DroneCAN node needs dronecan"
-        raise PluginError(f"{needs}: pip install 'lfield[dronecan]'") from None
+        problem = "a simulated DroneCAN node needs dronecan"
+        raise PluginError(f"{problem}: pip install 'lfield[dronecan]'") from None
     check_options(spec, {"functions", "uid", "dynamic"})
     uid = spec.options.get("uid", "")
     if not set(uid) <= set(hexdigits) or len(uid) not in (0, 32):

@@ -113,7 +113,7 @@ class Esc(NodeFunction):
         self._goal, self._age = TOP_SPEED * raw / FULL, 0.0
 
     def facts(self) -> Facts:
-        """The log entry that tells whether the motor turns."""
+        """The log entry for a turning motor."""
         return {f"esc{self._index}.turning": int(abs(self._speed) > 50.0)}
 
     def _move(self, dt: float, flaw: FaultLookup) -> None:
@@ -161,8 +161,8 @@ class Servo(NodeFunction):
         self._age += dt
         if self._age > SERVO_TIMEOUT:
             self._goal = self._position
-        way = 0.0 if flaw("stuck") else self._goal - self._position
-        step = max(-SERVO_SPEED * dt, min(SERVO_SPEED * dt, way))
+        distance = 0.0 if flaw("stuck") else self._goal - self._position
+        step = max(-SERVO_SPEED * dt, min(SERVO_SPEED * dt, distance))
         self._position, self._speed = self._position + step, step / dt
 
     def _report(self, flaw: FaultLookup) -> Any:
@@ -174,13 +174,13 @@ class Servo(NodeFunction):
 
 def functions_of(text: str) -> list[NodeFunction]:
     """The functions of a node in a text: `servo:0+servo:1+battery:0`. Raises UsageError."""
-    found = []
+    functions = []
     for part in text.split("+"):
         name, _, index = part.partition(":")
         if name not in _FUNCTIONS or not index.isdecimal() or int(index) > 255:
             raise UsageError(f"'{part}' is not a function; write {':0, '.join(_FUNCTIONS)}:0, joined by +")
-        found.append(_FUNCTIONS[name](int(index)))
-    return found
+        functions.append(_FUNCTIONS[name](int(index)))
+    return functions
 
 
 _FUNCTIONS: Mapping[str, type[NodeFunction]] = {each.name: each for each in (Battery, Esc, Servo)}

@@ -41,7 +41,7 @@ class DroneCanNode:
         *,
         is_dynamic: bool,
     ) -> None:
-        self._place, self._flaw, self._functions = node, flaw, functions
+        self._configured_node, self._flaw, self._functions = node, flaw, functions
         self._node = 0
         self._uptime = self._until_status = self._until_request = 0.0
         self._outgoing: list[CanFrame] = []
@@ -53,7 +53,7 @@ class DroneCanNode:
     @property
     def id(self) -> str:
         """The node id of its specification."""
-        return str(self._place)
+        return str(self._configured_node)
 
     def power_up(self) -> list[CanFrame]:
         """Restarts."""
@@ -67,10 +67,10 @@ class DroneCanNode:
 
     def facts(self) -> Facts:
         """The log entries of the node and its functions."""
-        found: Facts = {"node": self._node}
+        facts: Facts = {"node": self._node}
         for function in self._functions:
-            found = {**found, **function.facts()}
-        return found
+            facts = {**facts, **function.facts()}
+        return facts
 
     def on_frame(self, frame: CanFrame) -> list[CanFrame]:
         """Receives a frame; returns the answers."""
@@ -109,7 +109,7 @@ class DroneCanNode:
         return sent
 
     def _reset(self) -> None:
-        self._node = 0 if self._is_dynamic else self._place
+        self._node = 0 if self._is_dynamic else self._configured_node
         self._transfers = TransferManager()
         self._numbers: dict[object, int] = {}
         self._outgoing = []
@@ -134,7 +134,7 @@ class DroneCanNode:
         name = dronecan.get_dronecan_data_type(payload).full_name
         if transfer.service_not_message:
             if transfer.request_not_response:
-                yield from self._served(name, transfer)
+                yield from self._response(name, transfer)
         elif name == "uavcan.protocol.dynamic_node_id.Allocation":
             if not self._node:
                 self._on_allocation(transfer)
@@ -142,7 +142,7 @@ class DroneCanNode:
             for function in self._functions:
                 function.on_command(transfer.data_type_id, payload)
 
-    def _served(self, name: str, request: Any) -> Iterator[CanFrame]:
+    def _response(self, name: str, request: Any) -> Iterator[CanFrame]:
         if name == "uavcan.protocol.GetNodeInfo":
             answer = uavcan.protocol.GetNodeInfo.Response()
             answer.status = self._status()
@@ -169,13 +169,13 @@ class DroneCanNode:
         id.
         """
         self._until_request = self._random.uniform(*REQUEST_TIMES)
-        known = bytes(transfer.payload.unique_id)
-        if transfer.source_node_id == 0 or not self._unique_id.startswith(known):
+        allocated = bytes(transfer.payload.unique_id)
+        if transfer.source_node_id == 0 or not self._unique_id.startswith(allocated):
             self._stage = 0
-        elif len(known) == len(self._unique_id) and transfer.payload.node_id:
+        elif len(allocated) == len(self._unique_id) and transfer.payload.node_id:
             self._node, self._stage = int(transfer.payload.node_id), 0
-        elif len(known) in (6, 12):
-            self._stage = len(known) // 6
+        elif len(allocated) in (6, 12):
+            self._stage = len(allocated) // 6
             self._until_request = self._random.uniform(*FOLLOWUP_TIMES)
 
     # -- sent frames --------------------------------------------------------------------------------------
@@ -202,8 +202,8 @@ class DroneCanNode:
         number = self._number(dronecan.get_dronecan_data_type(payload).full_name)
         return list(self._frames(payload, transfer_id=number))
 
-    def _frames(self, payload: Any, **about: Any) -> Iterator[CanFrame]:
-        transfer = Transfer(payload=payload, source_node_id=self._node, transfer_priority=16, **about)
+    def _frames(self, payload: Any, **fields: Any) -> Iterator[CanFrame]:
+        transfer = Transfer(payload=payload, source_node_id=self._node, transfer_priority=16, **fields)
         for frame in transfer.to_frames():
             yield CanFrame(frame.message_id, bytes(frame.bytes), extended=True)
 

@@ -53,7 +53,7 @@ class AxMotion(ServoMotion):
         return bool(self.table["torque_enable"]) and not self.wheel and self.clock < self.profile.duration
 
     def single_turn(self) -> None:
-        """Ends the rest; an AX has one turn only."""
+        """Has no effect on the position: an AX has one turn only."""
         self.resting = False
 
     def reset_goals(self) -> None:
@@ -73,15 +73,15 @@ class AxMotion(ServoMotion):
         """Advances time by `dt` seconds."""
         motor, share = self.motor, self.table["torque_limit"] / FULL
         if self.resting or not self.table["torque_enable"]:
-            motor.rest(dt)
+            motor.step_unpowered(dt)
             self.resting = motor.speed == 0.0
             return
         self.clock += dt
         if self.wheel:
             motor.drive(motor.torque_at(self._wheel_share()), share, math.inf, dt)
         else:
-            self.trajectory, self.pace = self.profile.at(self.clock)
-            speed = self.pace / COUNTS + catch_up((self.trajectory - self.place) / COUNTS, motor)
+            self.trajectory, self.trajectory_speed = self.profile.at(self.clock)
+            speed = self.trajectory_speed / COUNTS + catch_up((self.trajectory - self.place) / COUNTS, motor)
             motor.drive(motor.torque_for(speed, dt), share, math.inf, dt)
         self.resting = self.is_settled()
 
@@ -114,7 +114,7 @@ class AxServo(Servo):
 
     def __init__(self, model: ServoModel, now: float = 0.0) -> None:
         # Present errors, and the cause of a shutdown, which is reported until Torque Limit is written.
-        self._wrong = self._fatal = 0
+        self._reported_errors = self._shutdown_errors = 0
         super().__init__(model, now)
 
     def make_motion(self) -> ServoMotion:
@@ -139,7 +139,7 @@ class AxServo(Servo):
     @property
     def alert(self) -> int:
         """The present errors."""
-        return self._wrong & ERRORS_1
+        return self._reported_errors & ERRORS_1
 
     def start_with(self, id: int, baud: int, protocol: int, return_delay: float) -> None:
         """Sets id, baud rate and protocol. Raises UsageError if the model does not support them."""
@@ -152,18 +152,18 @@ class AxServo(Servo):
         """Has no effect: an AX has no bus watchdog."""
 
     def protect(self, dt: float) -> None:
-        """Updates errors, and switches the torque off if Shutdown says so."""
-        now = self.errors(dt)
-        self._fatal |= now & self.table["shutdown"]
-        self._wrong = now | self._fatal
-        if now & self.table["shutdown"]:
+        """Updates errors, and switches the torque off for those in Shutdown."""
+        errors = self.errors(dt)
+        self._shutdown_errors |= errors & self.table["shutdown"]
+        self._reported_errors = errors | self._shutdown_errors
+        if errors & self.table["shutdown"]:
             self.table.put("torque_enable", 0)
             self.table.put("torque_limit", 0)
 
     def reboot(self) -> None:
         """Restarts as after power-up; only the factory reset does that."""
         self.table.reset(eeprom=False)
-        self._wrong = self._fatal = 0
+        self._reported_errors = self._shutdown_errors = 0
         self.restart()
 
     def check(self, item: Register, value: int, secondary: bool) -> None:
@@ -186,7 +186,7 @@ class AxServo(Servo):
         if name == "torque_enable" and value and not before:
             self.motion.hold()
         elif name == "torque_limit" and value:
-            self._fatal = 0
+            self._shutdown_errors = 0
         elif name == "goal_position":
             self.table.put("torque_enable", 1)
             self.motion.approach()

@@ -70,7 +70,7 @@ async def serve(args: argparse.Namespace, default: str) -> None:
     log = StateLog(args.log, {str(servo.id): servo.facts for servo in chain.servos})
     server = ChainServer(chain, path, log.write_changes)
     server.plug()
-    moving = asyncio.get_running_loop().create_task(server.run())
+    server_task = asyncio.get_running_loop().create_task(server.run())
     try:
         try:
             chain.faults.apply([*(["echo=true"] if args.echo else []), *args.fault])
@@ -86,6 +86,6 @@ async def serve(args: argparse.Namespace, default: str) -> None:
             facts={str(servo.id): servo.facts for servo in chain.servos},
         )
     finally:
-        moving.cancel()
+        server_task.cancel()
         server.unplug()
         log.close()

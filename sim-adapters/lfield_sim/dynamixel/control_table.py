@@ -69,7 +69,7 @@ class ControlTable:
         return bytes(self._memory[self._target(place)] for place in range(address, end))
 
     def _target(self, address: int) -> int:
-        """The target of an address: indirect data is elsewhere."""
+        """The target of an address: indirect data is stored at another one."""
         pointer = self._indirect.get(address)
         if pointer is None:
             return address
@@ -84,15 +84,15 @@ class ControlTable:
         """
         if not data:
             raise InstructionRefused(RefusalCode.LENGTH)
-        places = {self._target(address + at): byte for at, byte in enumerate(data)}
+        byte_by_address = {self._target(address + offset): byte for offset, byte in enumerate(data)}
         changes = []
-        while places:
-            first = next(iter(places))
+        while byte_by_address:
+            first = next(iter(byte_by_address))
             item = self._owner.get(first)
             if item is None:
                 raise InstructionRefused(RefusalCode.ACCESS)
             try:
-                raw = bytes(places.pop(item.address + at) for at in range(item.size))
+                raw = bytes(byte_by_address.pop(item.address + offset) for offset in range(item.size))
             except KeyError:
                 raise InstructionRefused(RefusalCode.LENGTH) from None
             changes.append((item, int.from_bytes(raw, "little", signed=item.signed)))

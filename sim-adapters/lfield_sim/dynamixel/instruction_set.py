@@ -29,7 +29,7 @@ _LONGEST_1 = 253
 
 @dataclass(frozen=True, slots=True)
 class ServoAnswer:
-    """An answer, with the id and baud rate that the servo had when it was asked."""
+    """An answer, with the id and baud rate of the servo at the time of the request."""
 
     servo: Servo
     id: int
@@ -73,12 +73,12 @@ class _Cursor:
         return self.read(1)[0]
 
     @property
-    def rest(self) -> bytes:
-        """The rest."""
+    def remaining(self) -> bytes:
+        """The bytes that have not been read."""
         return self.data[self.at :]
 
 
-def carry_out(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> InstructionOutcome:
+def execute(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> InstructionOutcome:
     """Executes a packet on the servos that receive it. Never raises."""
     if packet.instruction == _STATUS:
         return InstructionOutcome()
@@ -96,37 +96,41 @@ def carry_out(packet: InstructionPacket, protocol: int, servos: Sequence[Servo])
             case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
                 return _group(packet, protocol, servos, _bulk_list(cursor))
             case _:
-                return _each(packet, protocol, servos)
+                return _execute_on_each(packet, protocol, servos)
     except InstructionRefused:
         # An invalid group packet has no answer.
         pass
     return InstructionOutcome()
 
 
-def _each(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> InstructionOutcome:
+def _execute_on_each(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> InstructionOutcome:
     """The servos for an id: one by its id, some by their secondary id, or all."""
-    found = []
+    answers = []
     for servo in sorted(servos, key=lambda servo: servo.id):
-        mine = servo.id == packet.id
-        if not mine and packet.id != BROADCAST and servo.secondary != packet.id:
+        has_id = servo.id == packet.id
+        if not has_id and packet.id != BROADCAST and servo.secondary != packet.id:
             continue
         is_broadcast_ping = (
             packet.id == BROADCAST and packet.instruction == Instruction.PING and packet.is_valid
         )
         id, baud = servo.id, servo.baud
-        answers = servo.answers(_LEVELS.get(_known(packet.instruction), ANSWER_ALL))
-        error, data = _execute(servo, packet, protocol, secondary=not mine and packet.id != BROADCAST)
-        if (mine or is_broadcast_ping) and answers and not (protocol == 0 and error in _SILENT):
-            found.append(ServoAnswer(servo, id, baud, error, data))
-    return InstructionOutcome(found)
+        is_answered = servo.answers(_LEVELS.get(_known_instruction(packet.instruction), ANSWER_ALL))
+        error, data = _execute_on_servo(
+            servo, packet, protocol, secondary=not has_id and packet.id != BROADCAST
+        )
+        if (has_id or is_broadcast_ping) and is_answered and not (protocol == 0 and error in _SILENT):
+            answers.append(ServoAnswer(servo, id, baud, error, data))
+    return InstructionOutcome(answers)
 
 
-def _known(instruction: int) -> Instruction:
+def _known_instruction(instruction: int) -> Instruction:
     """The instruction of a number; an unknown one is answered like a write."""
     return Instruction(instruction) if instruction in Instruction.__members__.values() else Instruction.WRITE
 
 
-def _execute(servo: Servo, packet: InstructionPacket, protocol: int, *, secondary: bool) -> tuple[int, bytes]:
+def _execute_on_servo(
+    servo: Servo, packet: InstructionPacket, protocol: int, *, secondary: bool
+) -> tuple[int, bytes]:
     try:
         if not packet.is_valid:
             raise InstructionRefused(RefusalCode.CRC)
@@ -143,9 +147,9 @@ def _perform(servo: Servo, packet: InstructionPacket, protocol: int, secondary: 
         case Instruction.READ:
             return _read(servo, cursor.number(), cursor.number(), protocol)
         case Instruction.WRITE:
-            servo.write(cursor.number(), cursor.rest, secondary=secondary)
+            servo.write(cursor.number(), cursor.remaining, secondary=secondary)
         case Instruction.REG_WRITE:
-            servo.register(cursor.number(), cursor.rest, secondary=secondary)
+            servo.register(cursor.number(), cursor.remaining, secondary=secondary)
         case Instruction.ACTION:
             servo.act()
         case Instruction.FACTORY_RESET:
@@ -153,7 +157,7 @@ def _perform(servo: Servo, packet: InstructionPacket, protocol: int, secondary: 
         case Instruction.REBOOT if protocol == 2:
             servo.reboot()
         case Instruction.CLEAR if protocol == 2:
-            servo.clear(cursor.rest)
+            servo.clear(cursor.remaining)
         case _:
             raise InstructionRefused(RefusalCode.INSTRUCTION)
     return b""
@@ -173,12 +177,12 @@ def _factory_reset(servo: Servo, packet: InstructionPacket, option: int) -> None
 
 def _sync_write(cursor: _Cursor, servos: Sequence[Servo]) -> None:
     address, length = cursor.number(), cursor.number()
-    while cursor.rest:
+    while cursor.remaining:
         _write_to(cursor.byte(), address, cursor.read(length), servos)
 
 
 def _bulk_write(cursor: _Cursor, servos: Sequence[Servo]) -> None:
-    while cursor.rest:
+    while cursor.remaining:
         id, address = cursor.byte(), cursor.number()
         _write_to(id, address, cursor.read(cursor.number()), servos)
 
@@ -197,7 +201,7 @@ ReadRequest = tuple[int, int, int]
 
 def _sync_list(cursor: _Cursor) -> list[ReadRequest]:
     address, length = cursor.number(), cursor.number()
-    return [(id, address, length) for id in cursor.rest]
+    return [(id, address, length) for id in cursor.remaining]
 
 
 def _bulk_list(cursor: _Cursor) -> list[ReadRequest]:
@@ -208,12 +212,12 @@ def _bulk_list(cursor: _Cursor) -> list[ReadRequest]:
 
 
 def _bulk_requests_2(cursor: _Cursor) -> Iterator[ReadRequest]:
-    while cursor.rest:
+    while cursor.remaining:
         yield cursor.byte(), cursor.number(), cursor.number()
 
 
 def _bulk_requests_1(cursor: _Cursor) -> Iterator[ReadRequest]:
-    while cursor.rest:
+    while cursor.remaining:
         length, id, address = cursor.byte(), cursor.byte(), cursor.byte()
         yield id, address, length
 
@@ -229,15 +233,15 @@ def _group(
     """
     fast = packet.instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
     size = sum(length + _FAST_FRAME for _, _, length in requests)
-    twice = len({id for id, _, _ in requests}) < len(requests)
-    if packet.id != BROADCAST or twice or (fast and size > MAX_PACKET):
+    has_duplicates = len({id for id, _, _ in requests}) < len(requests)
+    if packet.id != BROADCAST or has_duplicates or (fast and size > MAX_PACKET):
         return InstructionOutcome()
     answers = []
     for id, address, length in requests:
-        asked = [s for s in servos if s.id == id and s.answers(_READ_LEVEL)]
-        if not asked:
+        responders = [s for s in servos if s.id == id and s.answers(_READ_LEVEL)]
+        if not responders:
             break
-        for servo in asked:
+        for servo in responders:
             try:
                 error, data = 0, _read(servo, address, length, protocol)
             except InstructionRefused as refused:

@@ -46,19 +46,19 @@ class MotionProfile:
         self.duration = sum(leg.duration for leg in self._legs)
 
     def _accelerated(self, place: float, speed: float, fastest: float, acceleration: float) -> None:
-        rest = place + speed * abs(speed) / (2.0 * acceleration)
-        way = math.copysign(1.0, self.goal - rest)
-        distance, speed = way * (self.goal - place), way * speed
+        stop_position = place + speed * abs(speed) / (2.0 * acceleration)
+        direction = math.copysign(1.0, self.goal - stop_position)
+        distance, speed = direction * (self.goal - place), direction * speed
         peak = math.sqrt(max(0.0, acceleration * distance + speed * speed / 2.0))
         self.kind = TRAPEZOIDAL if peak > fastest else TRIANGULAR
         peak = max(min(peak, fastest), min(speed, fastest))
         change = math.copysign(acceleration, peak - speed)
-        changing = (peak * peak - speed * speed) / (2.0 * change)
-        cruise = distance - changing - peak * peak / (2.0 * acceleration)
-        place = self._leg(place, way * speed, abs(peak - speed) / acceleration, way * change)
+        speed_change_distance = (peak * peak - speed * speed) / (2.0 * change)
+        cruise = distance - speed_change_distance - peak * peak / (2.0 * acceleration)
+        place = self._leg(place, direction * speed, abs(peak - speed) / acceleration, direction * change)
         if peak > 0.0:
-            place = self._leg(place, way * peak, max(0.0, cruise) / peak, 0.0)
-        self._leg(place, way * peak, peak / acceleration, -way * acceleration)
+            place = self._leg(place, direction * peak, max(0.0, cruise) / peak, 0.0)
+        self._leg(place, direction * peak, peak / acceleration, -direction * acceleration)
 
     def _leg(self, place: float, speed: float, duration: float, acceleration: float) -> float:
         leg = _Leg(duration, place, speed, acceleration)

@@ -133,17 +133,17 @@ class Codec2:
 
     def _next_packet(self, end: int) -> InstructionPacket:
         raw = bytes(self._buffer[:end])
-        sound = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
+        is_valid = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
         # The length of the packet may be wrong too, so the search continues right after its header.
-        del self._buffer[: end if sound else len(HEADER)]
-        return InstructionPacket(raw[4], raw[7], unstuff(raw[7:-2])[1:], end, sound)
+        del self._buffer[: end if is_valid else len(HEADER)]
+        return InstructionPacket(raw[4], raw[7], unstuff(raw[7:-2])[1:], end, is_valid)
 
     def _restart(self) -> bool:
         """Whether another packet has started inside a partial one."""
-        again = self._buffer.find(HEADER, len(HEADER))
-        if again >= 0:
-            del self._buffer[:again]
-        return again >= 0
+        start = self._buffer.find(HEADER, len(HEADER))
+        if start >= 0:
+            del self._buffer[:start]
+        return start >= 0
 
     def clear(self) -> None:
         """Discards a partial packet."""
@@ -199,9 +199,9 @@ class Codec1:
 
     def _next_packet(self, end: int) -> InstructionPacket:
         raw = bytes(self._buffer[:end])
-        sound = ~sum(raw[2:-1]) & 0xFF == raw[-1]
-        del self._buffer[: end if sound else 1]
-        return InstructionPacket(raw[2], raw[4], raw[5:-1], end, sound)
+        is_valid = ~sum(raw[2:-1]) & 0xFF == raw[-1]
+        del self._buffer[: end if is_valid else 1]
+        return InstructionPacket(raw[2], raw[4], raw[5:-1], end, is_valid)
 
     def clear(self) -> None:
         """Discards a partial packet."""

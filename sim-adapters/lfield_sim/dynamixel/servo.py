@@ -40,7 +40,7 @@ ANSWER_ALL = 2
 #: Parameters of the Clear instruction: multi-turn information, and four fixed bytes.
 CLEAR_TURNS = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
 #: Registers that Factory Reset keeps, by option.
-KEPT = {0xFF: frozenset[str](), 0x01: frozenset({"id"}), 0x02: frozenset({"id", "baud_rate"})}
+PRESERVED_BY_OPTION = {0xFF: frozenset[str](), 0x01: frozenset({"id"}), 0x02: frozenset({"id", "baud_rate"})}
 
 
 class Servo:
@@ -51,11 +51,11 @@ class Servo:
         self.table = ControlTable(model)
         self.motion = self.make_motion()
         self.encoder_fault = False
-        self._time = self._born = self._last_packet_at = now
-        self._awake = now
+        self._time = self._powered_up_at = self._last_packet_at = now
+        self._awake_at = now
         self._registered: list[tuple[Register, int]] = []
-        self._shut = False
-        self._strained = self._starved = 0.0
+        self._is_shut_down = False
+        self._overload_time = self._voltage_error_time = 0.0
         self._stale = True
         self.motion.reset_goals()
 
@@ -102,7 +102,7 @@ class Servo:
     @property
     def awake(self) -> bool:
         """Whether the servo is not rebooting."""
-        return self._time >= self._awake
+        return self._time >= self._awake_at
 
     @property
     def return_delay(self) -> float:
@@ -162,25 +162,27 @@ class Servo:
             self.motion.stop()
 
     def protect(self, dt: float) -> None:
-        """Updates errors, and shuts down if Shutdown says so."""
-        found, table = self.errors(dt), self.table
-        if found:
-            table.put("hardware_error_status", table["hardware_error_status"] | found)
-            if found & table["shutdown"]:
-                self._shut = True
+        """Updates errors, and shuts down for those in Shutdown."""
+        errors, table = self.errors(dt), self.table
+        if errors:
+            table.put("hardware_error_status", table["hardware_error_status"] | errors)
+            if errors & table["shutdown"]:
+                self._is_shut_down = True
                 table.put("torque_enable", 0)
 
     def errors(self, dt: float) -> int:
         """Present errors, as bits of the hardware error status."""
         table, motor = self.table, self.motion.motor
-        strained = abs(motor.current) > OVERLOAD_SHARE * motor.strength.stall_current
-        self._strained = self._strained + dt if strained else 0.0
-        starved = not table["min_voltage_limit"] <= motor.voltage * 10.0 <= table["max_voltage_limit"]
-        self._starved = self._starved + dt if starved else 0.0
-        found = OVERLOAD if self._strained > OVERLOAD_TIME else 0
-        found |= VOLTAGE_ERROR if self._starved > VOLTAGE_TIME else 0
-        found |= OVERHEATING if motor.temperature > table["temperature_limit"] else 0
-        return found | (ENCODER_ERROR if self.encoder_fault else 0)
+        is_overloaded = abs(motor.current) > OVERLOAD_SHARE * motor.strength.stall_current
+        self._overload_time = self._overload_time + dt if is_overloaded else 0.0
+        is_voltage_wrong = (
+            not table["min_voltage_limit"] <= motor.voltage * 10.0 <= table["max_voltage_limit"]
+        )
+        self._voltage_error_time = self._voltage_error_time + dt if is_voltage_wrong else 0.0
+        errors = OVERLOAD if self._overload_time > OVERLOAD_TIME else 0
+        errors |= VOLTAGE_ERROR if self._voltage_error_time > VOLTAGE_TIME else 0
+        errors |= OVERHEATING if motor.temperature > table["temperature_limit"] else 0
+        return errors | (ENCODER_ERROR if self.encoder_fault else 0)
 
     def facts(self) -> Facts:
         """The log entries of the servo; `goals` are those of position, velocity and current, in counts."""
@@ -201,7 +203,7 @@ class Servo:
     def read(self, address: int, length: int) -> bytes:
         """Registers with present values. Raises InstructionRefused."""
         if self._stale:
-            self.motion.publish(self._time - self._born)
+            self.motion.publish(self._time - self._powered_up_at)
             self._stale = False
         return self.table.read(address, length)
 
@@ -224,7 +226,7 @@ class Servo:
     def reboot(self) -> None:
         """Restarts: the RAM area with initial values, errors cleared (persisting ones return)."""
         self.table.reset(eeprom=False)
-        self._shut = False
+        self._is_shut_down = False
         self.restart()
         if self.table["startup_configuration"] & STARTUP_TORQUE:
             self.table.put("torque_enable", 1)
@@ -232,17 +234,17 @@ class Servo:
     def restart(self) -> None:
         """Powers up: no registered write, new goals, silent while the servo boots."""
         self._registered = []
-        self._strained = self._starved = 0.0
-        self._awake = self._time + BOOT
+        self._overload_time = self._voltage_error_time = 0.0
+        self._awake_at = self._time + BOOT
         self.motion.single_turn()
         self.motion.reset_goals()
         self._stale = True
 
     def factory_reset(self, option: int) -> None:
         """Resets the registers; `option` selects those that are kept. Raises InstructionRefused."""
-        if option not in KEPT:
+        if option not in PRESERVED_BY_OPTION:
             raise InstructionRefused(RefusalCode.RANGE)
-        self.table.reset(KEPT[option])
+        self.table.reset(PRESERVED_BY_OPTION[option])
         self.reboot()
 
     def clear(self, parameters: bytes) -> None:
@@ -269,8 +271,8 @@ class Servo:
             raise InstructionRefused(RefusalCode.ACCESS)
         if not item.low <= value <= item.high or (item.choices and value not in item.choices):
             raise InstructionRefused(RefusalCode.RANGE)
-        bitten = self.table["bus_watchdog"] == WATCHDOG_EXPIRED
-        if bitten and (item.name in GOALS or (item.name == "bus_watchdog" and value)):
+        is_expired = self.table["bus_watchdog"] == WATCHDOG_EXPIRED
+        if is_expired and (item.name in GOALS or (item.name == "bus_watchdog" and value)):
             raise InstructionRefused(RefusalCode.RANGE)
         if item.limit and abs(value) > self.table[item.limit]:
             raise InstructionRefused(RefusalCode.LIMIT)
@@ -292,7 +294,7 @@ class Servo:
 
     def follow_up(self, name: str, before: int, value: int) -> None:
         """Applies the effects of a register's new value."""
-        if name == "torque_enable" and self._shut:
+        if name == "torque_enable" and self._is_shut_down:
             self.table.put("torque_enable", 0)
         elif name == "torque_enable" and value and not before:
             self.motion.hold()
@@ -309,7 +311,7 @@ class Servo:
         self.motion.reset_goals()
 
     def _new_goal(self, name: str, value: int) -> None:
-        by_goal = self.table["drive_mode"] & TORQUE_BY_GOAL and not self._shut
+        by_goal = self.table["drive_mode"] & TORQUE_BY_GOAL and not self._is_shut_down
         if by_goal and not self.table["torque_enable"]:
             self.motion.hold()
             self.table.put("torque_enable", 1)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from lfield_sim.dynamixel.control_table import RefusalCode
-from lfield_sim.dynamixel.instruction_set import InstructionOutcome, ServoAnswer, carry_out
+from lfield_sim.dynamixel.instruction_set import InstructionOutcome, ServoAnswer, execute
 from lfield_sim.dynamixel.packets import MAX_PACKET, Codec, Codec1, Codec2, InstructionPacket, fast_status
 from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.dynamixel.servo_model import BAUDS
@@ -88,9 +88,9 @@ class ServoChain:
         self._codecs: dict[int, Codec] = {0: Codec1(), 1: Codec1(), 2: Codec2()}
         self._baud: int | None = None
         self._brownouts: set[int] = set()
-        self._last_byte_at = self._free = 0.0
-        self.faults.watch(self._break)
-        self._break()
+        self._last_byte_at = self._free_at = 0.0
+        self.faults.watch(self._apply_mechanical_faults)
+        self._apply_mechanical_faults()
 
     def advance(self, now: float) -> None:
         """Advances to `now`."""
@@ -100,7 +100,7 @@ class ServoChain:
     def receive(self, data: bytes, now: float, baud: int | None = None) -> list[TimedReply]:
         """The answers to these bytes. `baud` is their baud rate, None if unknown.
 
-        Never raises: invalid data is noise.
+        Never raises: invalid data is treated as noise.
         """
         self.advance(now)
         if baud != self._baud or now - self._last_byte_at > PAUSE:
@@ -122,10 +122,10 @@ class ServoChain:
     def _listen(self, data: bytes, now: float) -> Iterator[TimedReply]:
         for protocol in sorted({servo.protocol for servo in self.servos}):
             for packet in self._codecs[protocol].feed(data):
-                hearers = self._addressable(protocol)
-                for servo in hearers if packet.is_valid else ():
+                receivers = self._addressable(protocol)
+                for servo in receivers if packet.is_valid else ():
                     servo.on_packet(now)
-                yield from self._encode(carry_out(packet, protocol, hearers), packet, protocol, now)
+                yield from self._encode(execute(packet, protocol, receivers), packet, protocol, now)
 
     def _addressable(self, protocol: int) -> list[Servo]:
         """The servos that understand protocol and baud rate, and are working and awake."""
@@ -143,10 +143,10 @@ class ServoChain:
         self, outcome: InstructionOutcome, packet: InstructionPacket, protocol: int, now: float
     ) -> list[TimedReply]:
         """The answers as bytes, each at the time when it has been transmitted."""
-        self._free = max(now, self._free)
-        if not outcome.answers or self._free - now > BACKLOG:
+        self._free_at = max(now, self._free_at)
+        if not outcome.answers or self._free_at - now > BACKLOG:
             return []
-        self._free += packet.size * BITS / outcome.answers[0].baud
+        self._free_at += packet.size * BITS / outcome.answers[0].baud
         if outcome.fast:
             return self._encode_fast(outcome)
         replies: list[TimedReply] = []
@@ -160,20 +160,20 @@ class ServoChain:
 
         The line is low where any sender has it low.
         """
-        start, ends = self._free, self._free
+        start, end = self._free_at, self._free_at
         replies: list[TimedReply] = []
         for answer in sorted(answers, key=lambda answer: answer.servo.return_delay):
-            self._free = start
-            starts = start + answer.servo.return_delay
+            self._free_at = start
+            reply_start = start + answer.servo.return_delay
             reply = self._reply(answer, self._status(answer, protocol))
-            if replies and starts < ends and reply.data:
+            if replies and reply_start < end and reply.data:
                 both = itertools.zip_longest(replies[-1].data, reply.data, fillvalue=0xFF)
-                data = bytes(one & other for one, other in both)
+                data = bytes(first & second for first, second in both)
                 replies[-1] = TimedReply(max(reply.at, replies[-1].at), data)
             elif reply.data:
                 replies.append(reply)
-            ends = max(ends, reply.at)
-        self._free = ends
+            end = max(end, reply.at)
+        self._free_at = end
         return replies
 
     def _encode_fast(self, outcome: InstructionOutcome) -> list[TimedReply]:
@@ -185,9 +185,9 @@ class ServoChain:
             if len(blocks) > 1 and blocks[-2][0] == blocks[-1][0]:
                 # Two servos with one id collide; the last servo computes the checksum of what it has
                 # received.
-                (number, one_error, one), (_, other_error, other) = blocks[-2:]
-                both = bytes(a & b for a, b in zip(one, other, strict=True))
-                blocks[-2:] = [(number, one_error & other_error, both)]
+                (number, first_error, first), (_, second_error, second) = blocks[-2:]
+                both = bytes(a & b for a, b in zip(first, second, strict=True))
+                blocks[-2:] = [(number, first_error & second_error, both)]
         if not blocks:
             return []
         return [self._reply(outcome.answers[0], fast_status(outcome.fast, blocks))]
@@ -201,15 +201,19 @@ class ServoChain:
 
     def _reply(self, answer: ServoAnswer, data: bytes) -> TimedReply:
         servo = answer.servo
-        self._free += servo.return_delay + len(data) * BITS / answer.baud
+        self._free_at += servo.return_delay + len(data) * BITS / answer.baud
         if data and self._fault("nonsense", servo):
             data = self._random.randbytes(len(data))
         if data and self._happens("corrupt", servo):
-            place = self._random.randrange(len(data))
-            data = data[:place] + bytes([data[place] ^ self._random.randint(1, 255)]) + data[place + 1 :]
+            position = self._random.randrange(len(data))
+            data = (
+                data[:position]
+                + bytes([data[position] ^ self._random.randint(1, 255)])
+                + data[position + 1 :]
+            )
         if self._happens("noise", servo):
             data = self._random.randbytes(self._random.randint(1, 8)) + data
-        return TimedReply(self._free + float(self._fault("delay", servo)), data)
+        return TimedReply(self._free_at + float(self._fault("delay", servo)), data)
 
     def _id(self, answer: ServoAnswer) -> int:
         """The id in the answers of a servo."""
@@ -221,14 +225,14 @@ class ServoChain:
     def _happens(self, name: str, servo: Servo) -> bool:
         return self._random.random() < self._fault(name, servo)
 
-    def _break(self) -> None:
+    def _apply_mechanical_faults(self) -> None:
         """Applies the mechanical faults."""
         for servo in self.servos:
             motor, overload = servo.motion.motor, bool(self._fault("overload", servo))
             motor.blocked, motor.load = overload, 1.5 * motor.strength.stall_torque if overload else 0.0
             motor.slipping = bool(self._fault("stuck", servo))
             obstacle = float(self._fault("obstacle", servo))
-            motor.meet(obstacle + math.pi if obstacle < NO_OBSTACLE else None)
+            motor.set_obstacle(obstacle + math.pi if obstacle < NO_OBSTACLE else None)
             motor.heater = HEATER if self._fault("hot", servo) else 0.0
             motor.sag = self._fault("sag", servo)
             servo.encoder_fault = bool(self._fault("encoder", servo))
@@ -236,7 +240,7 @@ class ServoChain:
             self._set_brownout(servo, bool(self._fault("brownout", servo)))
 
     def _set_brownout(self, servo: Servo, present: bool) -> None:
-        """Restarts a servo when the fault begins."""
+        """Restarts a servo at the start of the fault."""
         if present and id(servo) not in self._brownouts:
             servo.reboot()
         (self._brownouts.add if present else self._brownouts.discard)(id(servo))

@@ -45,7 +45,7 @@ def catch_up(error: float, motor: ServoMotor) -> float:
 
     Limited by braking, so that a distant goal without a profile is not overshot.
     """
-    return math.copysign(min(GAIN * abs(error), math.sqrt(2.0 * motor.hardest * abs(error))), error)
+    return math.copysign(min(GAIN * abs(error), math.sqrt(2.0 * motor.max_acceleration * abs(error))), error)
 
 
 class ServoMotion:
@@ -57,13 +57,13 @@ class ServoMotion:
         self.table, self._unit = table, model.strength.unit
         self.profile = MotionProfile(0.0, 0.0, 0.0, math.inf, math.inf)
         self.clock = 0.0
-        self.trajectory, self.pace = 0.0, 0.0
+        self.trajectory, self.trajectory_speed = 0.0, 0.0
         self.motor.angle = TURN / 2 / COUNTS
         # After power-up a servo is within one turn, in its direction.
-        self._turns, self._turns_way = 0, 1
+        self._turns, self._turns_direction = 0, 1
 
     @property
-    def _way(self) -> int:
+    def _direction(self) -> int:
         return -1 if self.table["drive_mode"] & REVERSE else 1
 
     @property
@@ -75,14 +75,14 @@ class ServoMotion:
     @property
     def place(self) -> float:
         """Position of the shaft in counts. The sign of the offset is independent of the direction."""
-        if self._turns_way != self._way:
+        if self._turns_direction != self._direction:
             self.single_turn()
-        return self._way * self.motor.angle * COUNTS + self._turns * TURN + self._offset
+        return self._direction * self.motor.angle * COUNTS + self._turns * TURN + self._offset
 
     @property
     def speed(self) -> float:
         """Speed of the shaft, in counts of velocity."""
-        return self._way * self.motor.speed / VELOCITY_UNIT
+        return self._direction * self.motor.speed / VELOCITY_UNIT
 
     @property
     def moving(self) -> bool:
@@ -106,13 +106,13 @@ class ServoMotion:
     def single_turn(self) -> None:
         """Clears the turns: the position without offset is within one."""
         self.motor.angle %= 2.0 * math.pi
-        self._turns_way = self._way
-        self._turns = 1 if self._way < 0 and self.motor.angle > 0.0 else 0
+        self._turns_direction = self._direction
+        self._turns = 1 if self._direction < 0 and self.motor.angle > 0.0 else 0
         self.resting = False
 
     def put_in(self, place: float) -> None:
         """Puts the shaft at a position in counts, without moving."""
-        self.motor.angle += self._way * (place - self.place) / COUNTS
+        self.motor.angle += self._direction * (place - self.place) / COUNTS
         self.single_turn()
         self.hold()
 
@@ -128,10 +128,10 @@ class ServoMotion:
 
     def hold(self) -> None:
         """Sets the goal to the present position: at torque on, and when the watchdog stops the servo."""
-        here = self.place
-        self.table.put("goal_position", round(here))
-        self.profile = MotionProfile(here, 0.0, here, math.inf, math.inf)
-        self.clock, self.trajectory, self.pace = 0.0, here, 0.0
+        position = self.place
+        self.table.put("goal_position", round(position))
+        self.profile = MotionProfile(position, 0.0, position, math.inf, math.inf)
+        self.clock, self.trajectory, self.trajectory_speed = 0.0, position, 0.0
         self.resting = False
 
     def stop(self) -> None:
@@ -145,8 +145,8 @@ class ServoMotion:
     def approach(self) -> None:
         """Plans the motion to the goal from the present position and speed."""
         goal = float(self.table["goal_position"])
-        place, pace = (self.trajectory, self.pace) if self.under_way else (self.place, 0.0)
-        self.profile = MotionProfile(place, pace, goal, *self._bounds(goal - place))
+        place, speed = (self.trajectory, self.trajectory_speed) if self.under_way else (self.place, 0.0)
+        self.profile = MotionProfile(place, speed, goal, *self._bounds(goal - place))
         self.clock, self.resting = 0.0, False
 
     def _bounds(self, distance: float) -> tuple[float, float]:
@@ -162,8 +162,8 @@ class ServoMotion:
     def step(self, dt: float) -> None:
         """Advances time by `dt` seconds."""
         if self.resting or not self._is_driven:
-            self.motor.rest(dt)
-            self.trajectory, self.pace = self.place, 0.0
+            self.motor.step_unpowered(dt)
+            self.trajectory, self.trajectory_speed = self.place, 0.0
             self.resting = self.motor.speed == 0.0
             return
         self.clock += dt
@@ -175,50 +175,55 @@ class ServoMotion:
         """Whether no value changes without a further write."""
         motor = self.motor
         still = abs(motor.speed) < 1e-4 and abs(motor.current) < 1e-3 and motor.load == 0.0
-        return still and not self.under_way and self.pace == 0.0 and not (motor.blocked or motor.slipping)
+        return (
+            still
+            and not self.under_way
+            and self.trajectory_speed == 0.0
+            and not (motor.blocked or motor.slipping)
+        )
 
     def _demand(self, dt: float) -> tuple[float, float, float]:
         """Torque, share of the supply and current for the mode."""
         mode, motor = self.table["operating_mode"], self.motor
         share = self.table["goal_pwm"] / FULL_PWM
         if mode == PWM:
-            return motor.torque_at(self._way * share), 1.0, math.inf
+            return motor.torque_at(self._direction * share), 1.0, math.inf
         if mode == CURRENT:
-            amperes = self._way * self.table["goal_current"] * self._unit
+            amperes = self._direction * self.table["goal_current"] * self._unit
             return (
                 amperes * motor.strength.stall_torque / motor.strength.stall_current,
                 abs(share),
-                self._most(),
+                self._max_current(),
             )
         speed = self._ramp(dt) if mode == VELOCITY else self._follow()
-        return motor.torque_for(self._way * speed, dt), abs(share), self._most()
+        return motor.torque_for(self._direction * speed, dt), abs(share), self._max_current()
 
-    def _most(self) -> float:
+    def _max_current(self) -> float:
         """The maximum current of the mode, in A."""
         if not self._unit:
             return math.inf
-        which = "goal_current" if self.table["operating_mode"] == CURRENT_POSITION else "current_limit"
-        return abs(self.table[which]) * self._unit
+        register = "goal_current" if self.table["operating_mode"] == CURRENT_POSITION else "current_limit"
+        return abs(self.table[register]) * self._unit
 
     def _follow(self) -> float:
         """The speed in rad/s for the profile."""
-        self.trajectory, self.pace = self.profile.at(self.clock)
-        return self.pace / COUNTS + catch_up((self.trajectory - self.place) / COUNTS, self.motor)
+        self.trajectory, self.trajectory_speed = self.profile.at(self.clock)
+        return self.trajectory_speed / COUNTS + catch_up((self.trajectory - self.place) / COUNTS, self.motor)
 
     def _ramp(self, dt: float) -> float:
         """The speed in rad/s, in the register's direction, on the ramp to the goal velocity."""
         goal = self.table["goal_velocity"] * VELOCITY_UNIT * COUNTS
         rising = self.table["profile_acceleration"]
         if not rising:
-            self.pace = goal
+            self.trajectory_speed = goal
         elif self.table["drive_mode"] & TIME_BASED:
-            left = max(dt, rising / 1000.0 - self.clock + dt)
-            self.pace += (goal - self.pace) * min(1.0, dt / left)
+            remaining = max(dt, rising / 1000.0 - self.clock + dt)
+            self.trajectory_speed += (goal - self.trajectory_speed) * min(1.0, dt / remaining)
         else:
             change = rising * ACCELERATION_UNIT * COUNTS * dt
-            self.pace += max(-change, min(change, goal - self.pace))
+            self.trajectory_speed += max(-change, min(change, goal - self.trajectory_speed))
         self.trajectory = self.place
-        return self.pace / COUNTS
+        return self.trajectory_speed / COUNTS
 
     def accelerate(self) -> None:
         """Starts the ramp to a new goal velocity."""
@@ -230,15 +235,15 @@ class ServoMotion:
         put("realtime_tick", int(time * 1000.0) % 32_768)
         put("moving", int(self.moving))
         put("moving_status", self._status())
-        put("present_pwm", round(self._way * motor.duty * FULL_PWM))
+        put("present_pwm", round(self._direction * motor.duty * FULL_PWM))
         put("present_velocity", round(self.speed))
         put("present_position", round(self.place))
-        put("velocity_trajectory", round(self.pace / COUNTS / VELOCITY_UNIT))
+        put("velocity_trajectory", round(self.trajectory_speed / COUNTS / VELOCITY_UNIT))
         put("position_trajectory", round(self.trajectory))
         put("present_input_voltage", round(motor.voltage * 10.0))
         put("present_temperature", round(min(255.0, motor.temperature)))
         count = self._unit or motor.strength.stall_current / 1000.0
-        put("present_current", round(self._way * motor.current / count))
+        put("present_current", round(self._direction * motor.current / count))
 
     def _status(self) -> int:
         if not self._positioned or not self.table["torque_enable"]:

@@ -42,7 +42,7 @@ class ServoMotor:
     _obstacle: float | None = None
     _side: float = 1.0
 
-    def meet(self, angle: float | None) -> None:
+    def set_obstacle(self, angle: float | None) -> None:
         """Places an obstacle at an angle, on the other side of the shaft; None removes it."""
         if angle != self._obstacle:
             self._obstacle = angle
@@ -59,7 +59,7 @@ class ServoMotor:
         return self.strength.stall_torque * SPIN_UP / self.strength.fastest
 
     @property
-    def hardest(self) -> float:
+    def max_acceleration(self) -> float:
         """The guaranteed acceleration for controllers, in rad/s2."""
         return 0.6 * self.strength.fastest / SPIN_UP
 
@@ -72,7 +72,7 @@ class ServoMotor:
         """The torque for a speed `dt` from now."""
         return self.inertia * (speed - self.speed) / dt + self.load
 
-    def rest(self, dt: float) -> None:
+    def step_unpowered(self, dt: float) -> None:
         """Advances `dt` seconds without power."""
         self.current = self.duty = 0.0
         self.speed *= max(0.0, 1.0 - dt / COAST)
@@ -86,11 +86,11 @@ class ServoMotor:
         strength, per_ampere = self.strength, self.strength.stall_torque / self.strength.stall_current
         low, high = self.torque_at(-duty), self.torque_at(duty)
         low, high = max(low, -current * per_ampere), min(high, current * per_ampere)
-        given = max(low, min(high, torque)) if low <= high else 0.0
-        self.current = given / per_ampere
-        push = given / strength.stall_torque + self.speed / strength.fastest
+        applied = max(low, min(high, torque)) if low <= high else 0.0
+        self.current = applied / per_ampere
+        push = applied / strength.stall_torque + self.speed / strength.fastest
         self.duty = max(-1.0, min(1.0, push * strength.voltage / max(1.0, self.voltage)))
-        self.speed += (given - self.load) / self.inertia * dt
+        self.speed += (applied - self.load) / self.inertia * dt
         self._turn(dt)
         self._heat(dt)
 

@@ -1,7 +1,7 @@
 """The STS series of Feetech: packets of protocol 1.0 and sync reads, 4096 counts a turn, EEPROM with a lock.
 
 Facts: the vendor's memory table and SDK (ftservo-python-sdk), and LeRobot's tables. Signs are a bit beside a
-magnitude. A locked servo uses values that are written to its EEPROM, and loses them without power.
+magnitude. A locked servo uses values that are written to its EEPROM until it loses power.
 """
 
 from __future__ import annotations
@@ -63,10 +63,14 @@ class StsMotion(ServoMotion):
     @property
     def under_way(self) -> bool:
         """Whether the servo moves to a goal."""
-        return bool(self.table["torque_enable"]) and not self._turns_on and self.clock < self.profile.duration
+        return (
+            bool(self.table["torque_enable"])
+            and not self._is_velocity_mode
+            and self.clock < self.profile.duration
+        )
 
     @property
-    def _turns_on(self) -> bool:
+    def _is_velocity_mode(self) -> bool:
         return self.table["operating_mode"] == VELOCITY
 
     def single_turn(self) -> None:
@@ -88,28 +92,28 @@ class StsMotion(ServoMotion):
 
     def hold(self) -> None:
         """Sets the goal to the present position."""
-        here = self.place
-        self.table.put("goal_position", magnitude(here, SIGN))
-        self.profile = MotionProfile(here, 0.0, here, math.inf, math.inf)
-        self.clock, self.trajectory, self.pace, self.resting = 0.0, here, 0.0, False
+        position = self.place
+        self.table.put("goal_position", magnitude(position, SIGN))
+        self.profile = MotionProfile(position, 0.0, position, math.inf, math.inf)
+        self.clock, self.trajectory, self.trajectory_speed, self.resting = 0.0, position, 0.0, False
 
     def approach(self) -> None:
         """Plans the motion to the goal, within the limits, from its present position and speed."""
         goal = float(signed(self.table["goal_position"], SIGN))
         low, high = self.table["min_position_limit"], self.table["max_position_limit"]
         goal = min(max(goal, low), high) if low < high else goal
-        place, pace = (self.trajectory, self.pace) if self.under_way else (self.place, 0.0)
-        speed = abs(signed(self.table["goal_velocity"], SIGN)) or math.inf
+        place, speed = (self.trajectory, self.trajectory_speed) if self.under_way else (self.place, 0.0)
+        max_speed = abs(signed(self.table["goal_velocity"], SIGN)) or math.inf
         rise = self.table["acceleration"] * ACCELERATION_UNIT or math.inf
-        self.profile = MotionProfile(place, pace, goal, speed, rise)
+        self.profile = MotionProfile(place, speed, goal, max_speed, rise)
         self.clock, self.resting = 0.0, False
 
     def step(self, dt: float) -> None:
         """Advances time by `dt` seconds."""
         motor, table = self.motor, self.table
         if self.resting or not table["torque_enable"]:
-            motor.rest(dt)
-            self.trajectory, self.pace = self.place, 0.0
+            motor.step_unpowered(dt)
+            self.trajectory, self.trajectory_speed = self.place, 0.0
             self.resting = motor.speed == 0.0
             return
         self.clock += dt
@@ -119,19 +123,21 @@ class StsMotion(ServoMotion):
 
     def _speed(self, dt: float) -> float:
         """The speed in rad/s that follows the profile, or the goal velocity."""
-        if not self._turns_on:
-            self.trajectory, self.pace = self.profile.at(self.clock)
-            return self.pace / COUNTS + catch_up((self.trajectory - self.place) / COUNTS, self.motor)
+        if not self._is_velocity_mode:
+            self.trajectory, self.trajectory_speed = self.profile.at(self.clock)
+            return self.trajectory_speed / COUNTS + catch_up(
+                (self.trajectory - self.place) / COUNTS, self.motor
+            )
         change = self.table["acceleration"] * ACCELERATION_UNIT * dt or math.inf
         goal = signed(self.table["goal_velocity"], SIGN)
-        self.pace += max(-change, min(change, goal - self.pace))
-        return self.pace / COUNTS
+        self.trajectory_speed += max(-change, min(change, goal - self.trajectory_speed))
+        return self.trajectory_speed / COUNTS
 
     def is_settled(self) -> bool:
         """Whether no value changes without a further write. Little torque may follow slowly, long after
         the profile.
         """
-        follows = self._turns_on or abs(self.trajectory - self.place) < 1.0
+        follows = self._is_velocity_mode or abs(self.trajectory - self.place) < 1.0
         return super().is_settled() and follows
 
     def publish(self, time: float) -> None:
@@ -155,7 +161,7 @@ class StsServo(Servo):
         # Errors until the torque is switched on again; seconds for which a cause holds; values that are
         # saved, of registers that were written while locked.
         self._latched = 0
-        self._held: dict[int, float] = {}
+        self._cause_durations: dict[int, float] = {}
         self._saved: dict[str, int] = {}
         super().__init__(model, now)
 
@@ -209,14 +215,14 @@ class StsServo(Servo):
         """Has no effect: an STS has no bus watchdog."""
 
     def protect(self, dt: float) -> None:
-        """Updates the status, and reduces the torque or switches it off, as the unloading condition says."""
-        now = self.errors(dt)
-        self._latched |= now & self.table["unloading_condition"] & (RELEASING | OVERLOAD)
+        """Updates the status, and reduces or switches off the torque by the unloading condition."""
+        errors = self.errors(dt)
+        self._latched |= errors & self.table["unloading_condition"] & (RELEASING | OVERLOAD)
         if self._latched & RELEASING:
             self.table.put("torque_enable", 0)
-        weak = self._latched & OVERLOAD
-        self.motion.protection = self.table["protective_torque"] / 100.0 if weak else 1.0
-        self.table.put("status", now | self._latched)
+        is_overloaded = self._latched & OVERLOAD
+        self.motion.protection = self.table["protective_torque"] / 100.0 if is_overloaded else 1.0
+        self.table.put("status", errors | self._latched)
 
     def errors(self, dt: float) -> int:
         """Present errors, as bits of the status."""
@@ -233,17 +239,20 @@ class StsServo(Servo):
             ),
             OVERLOAD: (load >= table["overload_torque"], table["protection_time"] * TIME_UNIT),
         }
-        self._held = {bit: self._held.get(bit, 0.0) + dt if now else 0.0 for bit, (now, _) in causes.items()}
-        found = sum(bit for bit, (_, longest) in causes.items() if self._held[bit] > longest)
-        found |= OVERHEATING if motor.temperature > table["temperature_limit"] else 0
-        return found | (ENCODER if self.encoder_fault else 0)
+        self._cause_durations = {
+            bit: self._cause_durations.get(bit, 0.0) + dt if is_present else 0.0
+            for bit, (is_present, _) in causes.items()
+        }
+        errors = sum(bit for bit, (_, tolerated) in causes.items() if self._cause_durations[bit] > tolerated)
+        errors |= OVERHEATING if motor.temperature > table["temperature_limit"] else 0
+        return errors | (ENCODER if self.encoder_fault else 0)
 
     def reboot(self) -> None:
         """Restarts as after power-up: values that were written while the servo was locked are lost."""
         self.table.reset(eeprom=False)
         for name, value in self._saved.items():
             self.table.put(name, value)
-        self._saved, self._latched, self._held = {}, 0, {}
+        self._saved, self._latched, self._cause_durations = {}, 0, {}
         self.restart()
 
     def check(self, item: Register, value: int, secondary: bool) -> None:
@@ -282,6 +291,6 @@ class StsServo(Servo):
             self.table.put("torque_enable", before)
             self.motion.single_turn()
         elif value:
-            self._latched, self._held = 0, {}
+            self._latched, self._cause_durations = 0, {}
         if value and not before:
             self.motion.hold()

@@ -110,7 +110,7 @@ class MavlinkSim:
 
         Devices of one vehicle share it.
         """
-        made: dict[int, VehicleOption] = {}
+        options_by_system: dict[int, VehicleOption] = {}
         parameters: list[str] = []
         stands: dict[int, Stand] = {}
         for device in devices:
@@ -118,15 +118,17 @@ class MavlinkSim:
             number = int(str(options.get("system", 1)))
             kind, stack = str(options.get("kind", "copter")), str(options.get("autopilot", "any"))
             flavour = stack if stack in FLAVOURS else FLAVOURS[0]
-            made.setdefault(number, VehicleOption(number, kind, flavour, device.name))
+            options_by_system.setdefault(number, VehicleOption(number, kind, flavour, device.name))
             if device.frame is not None:
                 stands.setdefault(number, _stand(device.frame, device.sim))
-            for name, value in _set_up(device, made[number]).items():
+            for name, value in _set_up(device, options_by_system[number]).items():
                 parameters.append(f"--param={name}@{number}={value:.9g}")
-        vehicle_options = [argument for each in made.values() for argument in ("--vehicle", str(each))]
+        vehicle_options = [
+            argument for each in options_by_system.values() for argument in ("--vehicle", str(each))
+        ]
         vehicle_options += [f"--stand={number}:{each}" for number, each in stands.items()]
-        at = next((d.frame.origin for d in devices if d.frame is not None and d.frame.origin), None)
-        vehicle_options += [f"--origin={at.latitude!r},{at.longitude!r},{at.altitude!r}"] if at else []
+        origins = [d.frame.origin for d in devices if d.frame is not None and d.frame.origin]
+        vehicle_options += [f"--origin={o.latitude!r},{o.longitude!r},{o.altitude!r}" for o in origins[:1]]
         return ["--listen", "udp:127.0.0.1:0", *vehicle_options, *parameters]
 
     def run(self, args: argparse.Namespace) -> int:
@@ -136,8 +138,8 @@ class MavlinkSim:
 
     async def serve(self, args: argparse.Namespace) -> None:
         """As `run`, on the running loop."""
-        where, chosen = parse_listen(args.listen), vehicles(args)
-        given, limits = settings(args), speeds(args)
+        address, vehicle_options = parse_listen(args.listen), vehicles(args)
+        parameters, limits = settings(args), speeds(args)
         try:
             from lfield_sim.mavlink.geo import GeoOrigin
             from lfield_sim.mavlink.link_setup import LinkSetup, serve
@@ -148,11 +150,11 @@ class MavlinkSim:
         number = secrets.randbits(BOARD_BITS) if args.board is None else args.board
         field = GeoOrigin(*args.origin).on_ellipsoid if args.origin else None
         setup = LinkSetup(
-            chosen,
+            vehicle_options,
             args.battery,
             args.capacity,
             limits,
-            given,
+            parameters,
             args.fitted,
             args.set_up,
             number,
@@ -165,7 +167,7 @@ class MavlinkSim:
             raise UsageError(f"--fault: {error}") from None
         link = setup.link(faults)
         log = setup.log(args.log, link)
-        await serve(link, where, setup, faults, log, until_stdin_closes=args.until_stdin_closes)
+        await serve(link, address, setup, faults, log, until_stdin_closes=args.until_stdin_closes)
 
 
 def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
@@ -177,8 +179,8 @@ def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
     if placement.pose is not None:
         pose = placement.pose
         return Stand(pose.north, pose.east, pose.down, pose.heading)
-    put = any(each.startswith(("north", "east")) for each in conditions)
-    return Stand() if put else Stand(east=placement.number * APART)
+    has_position = any(each.startswith(("north", "east")) for each in conditions)
+    return Stand() if has_position else Stand(east=placement.number * APART)
 
 
 def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:

@@ -47,7 +47,7 @@ def _takeoff(sender: MessageSender, command: MavCommand) -> CommandAnswer:
     """Takes off; the height is above home for ArduPilot, above mean sea level for PX4, or a parameter when
     it is NaN.
     """
-    height = command.given(7)
+    height = command.optional(7)
     if height is not None and sender.autopilot.flavour.takeoff_mode:
         height -= sender.place.altitude - sender.autopilot.home[2]
     return sender.autopilot.takeoff(height), []
@@ -110,7 +110,7 @@ def _reposition(sender: MessageSender, command: MavCommand) -> CommandAnswer:
     change = bool(command.whole(2) & dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
     return pilot.reposition(
         place,
-        command.given(4),
+        command.optional(4),
         change_mode=change or pilot.flavour.submodes,
         speed=speed if speed > 0.0 else None,
     ), []
@@ -118,8 +118,8 @@ def _reposition(sender: MessageSender, command: MavCommand) -> CommandAnswer:
 
 def _orbit(sender: MessageSender, command: MavCommand) -> CommandAnswer:
     centre = _place(sender, command)
-    radius = command.given(1) or ORBIT_RADIUS
-    speed = command.given(2) or ORBIT_SPEED
+    radius = command.optional(1) or ORBIT_RADIUS
+    speed = command.optional(2) or ORBIT_SPEED
     if centre is None or not 1.0 <= abs(radius) <= 1000.0 or not 0.0 < speed <= 20.0:
         return MavResult.DENIED, []
     return sender.autopilot.orbit(Orbit(centre, abs(radius), math.copysign(speed, radius))), []
@@ -127,8 +127,8 @@ def _orbit(sender: MessageSender, command: MavCommand) -> CommandAnswer:
 
 def _set_home(sender: MessageSender, command: MavCommand) -> CommandAnswer:
     """Sets home; PX4 in a calibration does so too, but does not answer."""
-    here = sender.autopilot.vehicle.place
-    place = here if command.whole(1) == 1 else _place(sender, command)
+    present = sender.autopilot.vehicle.place
+    place = present if command.whole(1) == 1 else _place(sender, command)
     if place is None:
         return MavResult.DENIED, []
     sender.autopilot.set_home(place, sent=True)
@@ -179,10 +179,10 @@ def _get_interval(sender: MessageSender, command: MavCommand) -> CommandAnswer:
 
 def _request_message(sender: MessageSender, command: MavCommand) -> CommandAnswer:
     kind = command.whole(1)
-    found = sender.find(kind)
-    if found is None or kind in sender.autopilot.flavour.streamed_only:
+    messages = sender.find(kind)
+    if messages is None or kind in sender.autopilot.flavour.streamed_only:
         return (MavResult.DENIED if sender.autopilot.flavour.submodes else MavResult.FAILED), []
-    return MavResult.ACCEPTED, found
+    return MavResult.ACCEPTED, messages
 
 
 def _place(sender: MessageSender, command: MavCommand) -> Vector | None:

@@ -29,11 +29,11 @@ SendPacket = Callable[[bytes], None]
 class LinkServer:
     """The link and its peers; a peer is identified by the function that sends to it.
 
-    `moved` is called whenever a vehicle may have changed.
+    `on_change` is called whenever a vehicle may have changed.
     """
 
-    def __init__(self, link: MavlinkLink, moved: Callable[[], None] = lambda: None) -> None:
-        self._link, self._moved = link, moved
+    def __init__(self, link: MavlinkLink, on_change: Callable[[], None] = lambda: None) -> None:
+        self._link, self._on_change = link, on_change
         self._loop = asyncio.get_running_loop()
         self._last = self._loop.time()
         self.peers: dict[Hashable, SendPacket] = {}
@@ -45,7 +45,7 @@ class LinkServer:
         while len(self.peers) > MAX_PEERS:
             del self.peers[next(iter(self.peers))]
         packets = self._link.receive(peer, data, local=local)
-        self._moved()
+        self._on_change()
         for packet in packets:
             send(packet)
 
@@ -56,7 +56,7 @@ class LinkServer:
             now = self._loop.time()
             packets = self._link.advance(min(now - self._last, LONGEST_TICK))
             self._last = now
-            self._moved()
+            self._on_change()
             for send in list(self.peers.values()):
                 for packet in packets:
                     send(packet)
@@ -89,7 +89,7 @@ class UdpEndpoint(asyncio.DatagramProtocol):
         self._server.received(addr, lambda packet: self._transport.sendto(packet, addr), data)
 
     def error_received(self, exc: Exception) -> None:
-        """Ignores "port unreachable" of a peer that is gone; it is removed when others come."""
+        """Ignores "port unreachable" of a closed peer, which is removed when newer peers exceed MAX_PEERS."""
 
     def close(self) -> None:
         """Closes the socket."""
@@ -135,32 +135,32 @@ class PtyEndpoint:
     def __init__(self, server: LinkServer) -> None:
         self._server = server
         # Our descriptor of the slave stays open: without one, reading the master is an error.
-        self._fd, self._far = os.openpty()
-        tty.setraw(self._fd)
-        tty.setraw(self._far)
-        os.set_blocking(self._fd, False)
-        self.endpoint = f"serial:{os.ttyname(self._far)}:{BAUD}"
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._master)
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.endpoint = f"serial:{os.ttyname(self._slave)}:{BAUD}"
         self._waiting = b""
-        asyncio.get_running_loop().add_reader(self._fd, self._readable)
+        asyncio.get_running_loop().add_reader(self._master, self._readable)
         server.peers[self] = self._send
 
     def _readable(self) -> None:
-        self._server.received(self, self._send, os.read(self._fd, 4096), local=True)
+        self._server.received(self, self._send, os.read(self._master, 4096), local=True)
 
     def _send(self, packet: bytes) -> None:
         if len(self._waiting) < MAX_WAITING:
             self._waiting += packet
         try:
-            self._waiting = self._waiting[os.write(self._fd, self._waiting) :]
+            self._waiting = self._waiting[os.write(self._master, self._waiting) :]
         except BlockingIOError:
             # No reader; the next packet tries again.
             return
 
     def close(self) -> None:
         """Closes the line."""
-        asyncio.get_running_loop().remove_reader(self._fd)
-        os.close(self._fd)
-        os.close(self._far)
+        asyncio.get_running_loop().remove_reader(self._master)
+        os.close(self._master)
+        os.close(self._slave)
 
 
 async def open_endpoint(server: LinkServer, transport: str, host: str, port: int) -> LinkEndpoint:

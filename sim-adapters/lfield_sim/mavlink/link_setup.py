@@ -62,14 +62,14 @@ class LinkSetup:
 
     def link(self, faults: Faults) -> MavlinkLink:
         """The vehicles, side by side. Raises UsageError for an unknown parameter."""
-        made = [self._make(number, each, faults) for number, each in enumerate(self.vehicles)]
-        for system, given in self.parameters.items():
-            meant = [each.autopilot.parameters for each in made if system in (0, each.system)]
-            for name in given:
-                if not any(name in known for known in meant):
-                    which = f"system {system}" if system else self.summary
-                    raise UsageError(f"there is no parameter '{name}' in {which}")
-        return MavlinkLink(made)
+        vehicles = [self._make(number, each, faults) for number, each in enumerate(self.vehicles)]
+        for system, values in self.parameters.items():
+            tables = [each.autopilot.parameters for each in vehicles if system in (0, each.system)]
+            for name in values:
+                if not any(name in table for table in tables):
+                    owner = f"system {system}" if system else self.summary
+                    raise UsageError(f"there is no parameter '{name}' in {owner}")
+        return MavlinkLink(vehicles)
 
     @property
     def summary(self) -> str:
@@ -84,9 +84,9 @@ class LinkSetup:
         board = self.board + number if self.board else 0
         autopilot = Autopilot(kind, board=board, battery=Battery(self.charge), payload=Payload(self.fitted))
         stand = self.stands.get(option.system, Stand(east=number * APART))
-        there = (self.origin or GeoOrigin()).moved(stand.north, stand.east)
+        start = (self.origin or GeoOrigin()).moved(stand.north, stand.east)
         radius = PX4_RADIUS if option.flavour == "px4" else EARTH_RADIUS
-        place = replace(there, altitude=there.altitude - stand.down, radii=(radius, radius))
+        place = replace(start, altitude=start.altitude - stand.down, radii=(radius, radius))
         fake = MavlinkFake(autopilot, system=option.system, place=place, faults=faults)
         for limit, (name, scale) in kind.speeds.items():
             # A horizontal acceleration also sets the vertical one.
@@ -98,14 +98,14 @@ class LinkSetup:
             for level in kind.flavour.battery[:1]:
                 if level.of_capacity:
                     autopilot.parameters[level.threshold] = LOW * self.capacity
-        known = autopilot.parameters
+        parameters = autopilot.parameters
         required: Mapping[str, float] = {}
         if self.state:
             required = setup_parameters(
                 option.flavour, option.kind, self.state, station=station(option.system)
             )
-        for given in (required, self.parameters.get(0, {}), self.parameters.get(option.system, {})):
-            known.update({name: value for name, value in given.items() if name in known})
+        for values in (required, self.parameters.get(0, {}), self.parameters.get(option.system, {})):
+            parameters.update({name: value for name, value in values.items() if name in parameters})
         autopilot.apply_parameters()
         return fake
 
@@ -116,14 +116,14 @@ class LinkSetup:
         """
         stand, local = self.stands.get(fake.system, Stand()), fake.autopilot.vehicle.place
         north, east, down = turned(local, stand.heading)
-        there = self.origin or replace(GeoOrigin(), radii=fake.place.radii)
-        up = fake.place.altitude - there.altitude - down
-        return *there.local(*fake.place.at(north, east)), up
+        origin = self.origin or replace(GeoOrigin(), radii=fake.place.radii)
+        height = fake.place.altitude - origin.altitude - down
+        return *origin.local(*fake.place.at(north, east)), height
 
 
 async def serve(
     link: MavlinkLink,
-    where: tuple[str, str, int],
+    address: tuple[str, str, int],
     setup: LinkSetup,
     faults: Faults,
     log: StateLog,
@@ -132,8 +132,8 @@ async def serve(
 ) -> None:
     """Opens the endpoint, reports it, and serves until it is stopped. Raises AddressError."""
     server = LinkServer(link, log.write_changes)
-    endpoint = await open_endpoint(server, *where)
-    ticking = asyncio.get_running_loop().create_task(server.tick())
+    endpoint = await open_endpoint(server, *address)
+    server_task = asyncio.get_running_loop().create_task(server.tick())
     try:
         await serve_until_stopped(
             "mavlink", endpoint.endpoint, setup.summary, faults,
@@ -142,6 +142,6 @@ async def serve(
             places={str(each.system): partial(setup.place, each) for each in link.vehicles},
         )  # fmt: skip
     finally:
-        ticking.cancel()
+        server_task.cancel()
         endpoint.close()
         log.close()

@@ -46,7 +46,7 @@ class MavCommand:
         value = self.values[index - 1]
         return 0.0 if math.isnan(value) else value
 
-    def given(self, index: int) -> float | None:
+    def optional(self, index: int) -> float | None:
         """Parameter `index`, None when it is NaN or infinite: left to the autopilot."""
         value = self.values[index - 1]
         return value if math.isfinite(value) else None
@@ -56,18 +56,18 @@ class MavCommand:
         value = self.value(index)
         return int(value) if math.isfinite(value) else -1
 
-    def place(self, origin: GeoOrigin, here: Vector, home: Vector) -> Vector | None:
+    def place(self, origin: GeoOrigin, present: Vector, home: Vector) -> Vector | None:
         """The position in parameters 5 to 7, in the local frame; None if invalid.
 
-        A missing coordinate is that of `here`.
+        A missing coordinate is that of `present`.
         """
         scale = 1.0 if self.frame is not None else 1e7
-        x, y = self.given(5), self.given(6)
+        x, y = self.optional(5), self.optional(6)
         if x is None or y is None or NO_COORDINATE in (x, y):
-            north, east = here[:2]
+            north, east = present[:2]
         else:
             north, east = origin.local(x * scale, y * scale)
-        z = self.given(7)
-        down = here[2] if z is None else home[2] - z if self.frame in ABOVE_HOME else origin.altitude - z
+        z = self.optional(7)
+        down = present[2] if z is None else home[2] - z if self.frame in ABOVE_HOME else origin.altitude - z
         place = (north, east, down)
         return place if is_near(place) else None

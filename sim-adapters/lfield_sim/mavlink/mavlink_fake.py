@@ -58,7 +58,7 @@ STATES = {
     "warm_up": "warm_up",
 }
 #: The position of the vehicle: initially the origin of its frame, later it is moved.
-WHERE = ("north", "east")
+OFFSETS = ("north", "east")
 #: Faults that are a state of the air: the attribute of its wind.
 AIR = {"wind": "speed", "wind_from": "source", "gusts": "gusts"}
 
@@ -78,8 +78,8 @@ class MavlinkFake:
     ) -> None:
         self.autopilot, self.system = autopilot, system
         self.faults = faults or make_faults(systems=(system,))
-        put = {name: self.faults.get(name, system) for name in WHERE}
-        self.place = (place or GeoOrigin()).moved(**put)
+        offsets = {name: self.faults.get(name, system) for name in OFFSETS}
+        self.place = (place or GeoOrigin()).moved(**offsets)
         autopilot.altitude = self.place.altitude
         autopilot.vehicle.wind.rng = Random(system)
         autopilot.set_home(autopilot.vehicle.place)
@@ -90,8 +90,8 @@ class MavlinkFake:
         self.components = components_of(autopilot, self.place)
         self._writers = {number: PacketWriter(system, number) for number in (COMPONENT, *self.components)}
         self._readers = PacketReaders()
-        self._rest = 0.0
-        self._known_faults = {fault.name: fault.default for fault in LINK_FAULTS} | put
+        self._pending_time = 0.0
+        self._known_faults = {fault.name: fault.default for fault in LINK_FAULTS} | offsets
         self._apply_faults()
         self.faults.watch(self._apply_faults)
         autopilot.perform = self._perform
@@ -108,7 +108,7 @@ class MavlinkFake:
 
     def handle(self, message: Any, *, local: bool = False) -> list[bytes]:
         """Handles a message from a peer; returns the answers."""
-        if self.silent or not self._is_meant(message) or not self.wire.receives():
+        if self.silent or not self._is_addressed(message) or not self.wire.receives():
             return []
         if not self.gate.admits(message, local=local):
             return []
@@ -117,8 +117,8 @@ class MavlinkFake:
         if addressee in self.components:
             replies = self._on_command(message, addressee) if kind in COMMANDS else []
             return self._transmit(replies, addressee)
-        own = HANDLERS.get(kind)
-        replies = own(self, message) if own else []
+        handler = HANDLERS.get(kind)
+        replies = handler(self, message) if handler else []
         for service in self.services:
             if kind in service.handles:
                 replies = [*replies, *service.handles[kind](message)]
@@ -126,10 +126,10 @@ class MavlinkFake:
 
     def advance(self, seconds: float) -> list[bytes]:
         """Advances time; returns the packets for every peer."""
-        self._rest += seconds
+        self._pending_time += seconds
         messages: list[Any] = []
-        while self._rest >= STEP:
-            self._rest -= STEP
+        while self._pending_time >= STEP:
+            self._pending_time -= STEP
             messages += self._step()
         if self.autopilot.booting:
             return []
@@ -148,7 +148,7 @@ class MavlinkFake:
 
     # -- messages -------------------------------------------------------------------------------------
 
-    def _is_meant(self, message: Any) -> bool:
+    def _is_addressed(self, message: Any) -> bool:
         if getattr(message, "target_system", 0) not in (0, self.system):
             return False
         component = getattr(message, "target_component", 0)
@@ -213,8 +213,8 @@ class MavlinkFake:
         return []
 
     def _on_request_data_stream(self, message: Any) -> list[Any]:
-        every = [kind for kinds in DATA_STREAMS.values() for kind in kinds]
-        messages = DATA_STREAMS.get(message.req_stream_id, ()) if message.req_stream_id else every
+        all_kinds = [kind for kinds in DATA_STREAMS.values() for kind in kinds]
+        messages = DATA_STREAMS.get(message.req_stream_id, ()) if message.req_stream_id else all_kinds
         if self.autopilot.flavour.heeds_groups:
             self.sender.stream_group(messages, float(message.req_message_rate) if message.start_stop else 0.0)
         return []
@@ -232,10 +232,10 @@ class MavlinkFake:
 
     def _apply_faults(self) -> None:
         """Applies changed faults that are a state of the vehicle."""
-        known = self._known_faults
-        changed = {name: self.faults.get(name, self.system) for name in known}
+        previous = self._known_faults
+        changed = {name: self.faults.get(name, self.system) for name in previous}
         for name in STATES:
-            if changed[name] != known[name]:
+            if changed[name] != previous[name]:
                 setattr(self.autopilot, STATES[name], changed[name])
         for name in AIR:
             setattr(self.autopilot.vehicle.wind, AIR[name], changed[name])
@@ -243,10 +243,10 @@ class MavlinkFake:
         camera = self.autopilot.payload.camera
         camera.card, camera.broken = changed["card"], changed["camera_failure"]
         self.autopilot.payload.gimbal.is_secret = changed["gimbal_secret"]
-        north, east = (changed[name] - known[name] for name in WHERE)
-        at = self.autopilot.vehicle.place
-        self.autopilot.vehicle.place = (at[0] + north, at[1] + east, at[2])
-        if changed["battery"] != known["battery"]:
+        north, east = (changed[name] - previous[name] for name in OFFSETS)
+        place = self.autopilot.vehicle.place
+        self.autopilot.vehicle.place = (place[0] + north, place[1] + east, place[2])
+        if changed["battery"] != previous["battery"]:
             self.autopilot.battery.charge = changed["battery"]
         self._known_faults = changed
 

@@ -241,6 +241,6 @@ class _Texts:
         # A full last chunk does not end the text: an empty one must follow.
         chunks = [data[i : i + CHUNK] for i in range(0, len(data) + 1, CHUNK)]
         return [
-            dialect.MAVLink_statustext_message(severity, chunk, self._number, place)
-            for place, chunk in enumerate(chunks[:CHUNKS])
+            dialect.MAVLink_statustext_message(severity, chunk, self._number, index)
+            for index, chunk in enumerate(chunks[:CHUNKS])
         ]

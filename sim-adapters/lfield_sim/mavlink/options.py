@@ -110,33 +110,33 @@ def fitted(text: str) -> frozenset[str]:
     if text in ("all", "none"):
         return frozenset(HARDWARE if text == "all" else ())
     names = frozenset(text.split(","))
-    known = (*HARDWARE, *COMPONENTS)
-    if not names <= frozenset(known):
-        raise argparse.ArgumentTypeError(f"all, none, or some of {', '.join(known)}, by commas")
+    hardware = (*HARDWARE, *COMPONENTS)
+    if not names <= frozenset(hardware):
+        raise argparse.ArgumentTypeError(f"all, none, or some of {', '.join(hardware)}, by commas")
     return names
 
 
 def vehicle(text: str) -> VehicleOption:
     """`SYSTEM[:KIND[:FLAVOUR[:NAME]]]`."""
-    number, *rest = text.split(":", 3)
-    made = VehicleOption(system(number), *rest)
-    if made.kind not in KINDS or made.flavour not in FLAVOURS:
+    number, *fields = text.split(":", 3)
+    option = VehicleOption(system(number), *fields)
+    if option.kind not in KINDS or option.flavour not in FLAVOURS:
         raise argparse.ArgumentTypeError(
             f"SYSTEM[:KIND[:FLAVOUR[:NAME]]], KIND one of {', '.join(KINDS)}, "
             f"FLAVOUR one of {', '.join(FLAVOURS)}"
         )
-    return made
+    return option
 
 
 def vehicles(args: argparse.Namespace) -> list[VehicleOption]:
     """The vehicles of a command line. Raises UsageError when two have one system id."""
-    found: list[VehicleOption] = args.vehicle or [VehicleOption(args.system, args.kind, args.flavour)]
-    if any(each.kind == SKID and each.flavour != "ardupilot" for each in found):
+    options: list[VehicleOption] = args.vehicle or [VehicleOption(args.system, args.kind, args.flavour)]
+    if any(each.kind == SKID and each.flavour != "ardupilot" for each in options):
         raise UsageError("a rover_skid is ArduPilot's; PX4's rover steers by its wheels")
-    systems = [each.system for each in found]
+    systems = [each.system for each in options]
     if len(set(systems)) < len(systems):
         raise UsageError("two vehicles of one link have the same system id; give each its own")
-    return found
+    return options
 
 
 def parse_listen(text: str) -> tuple[str, str, int]:
@@ -154,18 +154,18 @@ def parse_listen(text: str) -> tuple[str, str, int]:
 
 def settings(args: argparse.Namespace) -> dict[int, dict[str, float]]:
     """`--param NAME[@SYSTEM]=VALUE` as names and values by system, 0 for all. Raises UsageError."""
-    found: dict[int, dict[str, float]] = {}
+    parameters: dict[int, dict[str, float]] = {}
     for text in args.param:
         names, _, value = text.partition("=")
         name, at, number = names.partition("@")
         try:
-            setting, owner = float(value), int(number) if at else 0
+            setting, system_id = float(value), int(number) if at else 0
         except ValueError:
             raise UsageError(f"--param {text}: write NAME=NUMBER, or NAME@SYSTEM=NUMBER") from None
         if not abs(setting) < LARGEST:
             raise UsageError(f"--param {text}: no parameter can hold that")
-        found.setdefault(owner, {})[name] = setting
-    return found
+        parameters.setdefault(system_id, {})[name] = setting
+    return parameters
 
 
 def speeds(args: argparse.Namespace) -> Mapping[str, float]:

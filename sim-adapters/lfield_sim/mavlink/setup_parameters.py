@@ -46,14 +46,14 @@ def setup_parameters(
     The setpoints end within twice `ttl` seconds; the vehicle is limited to `speed`, in m/s. `station` is the
     system id of its computer.
     """
-    found = _failsafes(flavour, kind, state, 2.0 * ttl)
+    parameters = _failsafes(flavour, kind, state, 2.0 * ttl)
     if flavour == "ardupilot":
-        found |= {"MAV_GCS_SYSID": station, "MAV_GCS_SYSID_HI": 0}
-    known = FLAVOURS[flavour][kind].parameters
+        parameters |= {"MAV_GCS_SYSID": station, "MAV_GCS_SYSID_HI": 0}
+    defaults = FLAVOURS[flavour][kind].parameters
     for name, unit in _SPEEDS[flavour, kind].items() if speed is not None else ():
         assert speed is not None
-        found[name] = min(speed * unit, known.get(name, speed * unit))
-    return found
+        parameters[name] = min(speed * unit, defaults.get(name, speed * unit))
+    return parameters
 
 
 def _failsafes(flavour: str, kind: str, state: str, longest: float) -> dict[str, float]:

@@ -69,7 +69,7 @@ class _Team:
     def candidates(self, resource: str) -> Sequence[Candidate]:
         return self.by_type.get(resource, ())
 
-    def here(self) -> None:
+    def location(self) -> None:
         """The host of the caller is unknown."""
 
 

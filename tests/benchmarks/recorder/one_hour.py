@@ -71,7 +71,7 @@ def recorded_hour(folder: Path, seconds: float) -> TeamRecording:
     target = RecordingDirectory(folder / "records", LIMIT)
     fleet = Fleet(load_mission(folder / "mission.dL"), 1, options=FleetOptions(record=target))
     fleet.run(seconds)
-    for name in list(fleet.lives):
+    for name in list(fleet.runs):
         fleet.stop(name)
     fleet.run(10.0)
     fleet.close()

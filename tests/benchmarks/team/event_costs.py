@@ -113,7 +113,7 @@ def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
         (Path(folder) / "mission.dL").write_text(agents)
         fleet = Fleet(load_mission(Path(folder) / "mission.dL", simulate=True), 1)
     fleet.run(10.0)
-    host = fleet.lives["alpha"].host
+    host = fleet.runs["alpha"].host
     observer, step = EventSubscription(EventLog(), 1, Subscribe(1, 0, RATE), 0.0), 0
 
     def turn() -> None:

@@ -171,4 +171,4 @@ def test_overloaded_bus_has_bounded_queues():
     bench.wait(30.0)
     bench.fault("delay=10")
     bench.wait(20.0)
-    assert all(place._port.waiting <= 1000 for place in bench.world._places)
+    assert all(device._port.waiting <= 1000 for device in bench.world._devices)

@@ -48,7 +48,7 @@ class Team:
         """The agents of a type."""
         return [member for member in self.members if member.type == resource]
 
-    def here(self) -> None:
+    def location(self) -> None:
         """The position of the querying host is not known."""
 
 
@@ -99,7 +99,7 @@ def test_walk_through_gives_the_stated_answers(tmp_path: Path) -> None:
     constraint = compile_constraint("payload >= 600", registry.attributes)
     assert "old: payload 500 < 600" in GUIDE
     assert "old: payload 500 < 600" in map(str, matcher.explain("Lift", constraint))
-    assert {offer.way for offer in matcher.offers("FollowPath")} == {"of_point_by_point"}
+    assert {offer.realisation for offer in matcher.offers("FollowPath")} == {"of_point_by_point"}
 
 
 TERMS = ("fitness", "loss", "part", "hop", "near", "age")

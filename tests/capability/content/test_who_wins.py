@@ -95,7 +95,7 @@ class _Yard:
     def last(self, device: str, quantity: str) -> Observation | None:
         return self._load
 
-    def trouble(self, device: str) -> Unavailability | None:
+    def unavailability(self, device: str) -> Unavailability | None:
         return None
 
     def last_contact(self, host: str) -> float | None:

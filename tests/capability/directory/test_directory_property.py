@@ -84,7 +84,7 @@ class Exchange(RuleBasedStateMachine):
                 name: AttributeSample(s.value, s.when, self.bravo.clock.monotonic())
                 for name, s in condition.samples.items()
             }
-            self.conditions[agent] = AgentCondition(condition.trouble, aged, condition.unknown)
+            self.conditions[agent] = AgentCondition(condition.unavailability, aged, condition.unknown)
             self.bravo.directory.set_own(agent, self.conditions[agent])
 
     @precondition(lambda self: self.under_way)
@@ -159,7 +159,7 @@ class Exchange(RuleBasedStateMachine):
 
     def same(self, agent, condition):
         found = self.alpha.candidate(agent)
-        self.same_trouble(found.refusal, condition.trouble)
+        self.same_trouble(found.refusal, condition.unavailability)
         assert found.unknown == dict(condition.unknown)
         assert {n for n in found.facts if n in LIVE[agent]} == set(condition.samples)
         for name, sample in condition.samples.items():

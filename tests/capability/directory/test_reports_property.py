@@ -90,7 +90,7 @@ def test_times_become_ages_and_times_again(age, later, kept):
     news = reports.decode("bravo", report, 50.0)
     assert (news.incarnation, news.since, news.sequence) == (7, 3, 4)
     found = news.agents["arm2"]
-    assert found.trouble == Unavailability("fc: no message", pytest.approx(50.0 - max(0.0, later)))
+    assert found.unavailability == Unavailability("fc: no message", pytest.approx(50.0 - max(0.0, later)))
     assert found.reserved == ReservedBy("pilot", pytest.approx(50.0 - max(0.0, 10.0 + later)))
     wanted = age if kept else max(0.0, age + later)
     assert found.samples["battery"] == AttributeSample(

@@ -163,5 +163,5 @@ class Crew:
         numbered = enumerate(self.members)
         return [replace(member, number=n) for n, member in numbered if member.type == resource]
 
-    def here(self) -> Position | None:
+    def location(self) -> Position | None:
         return self.place

@@ -55,7 +55,7 @@ class Cranes:
     def candidates(self, resource: str) -> Sequence[Candidate]:
         return self.members
 
-    def here(self) -> None:
+    def location(self) -> None:
         return None
 
 

@@ -77,7 +77,7 @@ def test_rules_add_their_loss_and_parts_add_up() -> None:
     one = equivalence("one", "Lift", "Climb", loss=0.25)
     both = composition("both", "Lift", {"a": "Grip", "b": "Climb", "c": "Climb"}, loss=1.0)
     offers = Matcher(registry(parts, one, both), Crew(candidate("x", "Part", hops=0))).offers("Lift")
-    assert [(o.way, o.cost) for o in offers] == [
+    assert [(o.realisation, o.cost) for o in offers] == [
         ("as_one", pytest.approx(0.5 + 2 * 0.25)),
         ("of_both", pytest.approx(3 * 0.5 + 2 * 1.0 + 0.5 * 2)),
     ]
@@ -89,7 +89,7 @@ def test_ties_are_ordered_by_rules_names_and_deployment() -> None:
     rules = [equivalence("y", "Lift", "Climb"), equivalence("x", "Lift", "Climb")]
     crew = Crew(candidate("b1", "B"), candidate("a2", "A"), candidate("a1", "A"))
     offers = Matcher(registry(*types, *rules), crew).offers("Lift")
-    assert [f"{o.way} {o.agent}" for o in offers] == [
+    assert [f"{o.realisation} {o.agent}" for o in offers] == [
         *("byB b1", "byA a2", "byA a1"),
         *("as_x a2", "as_x a1", "as_y a2", "as_y a1"),
     ]

@@ -27,7 +27,7 @@ GRIP_AND_CLIMB = composition(
 
 def brief(offers: list[Offer]) -> list[str]:
     """Offers in short form."""
-    return [f"{offer.way} {offer.agent}" for offer in offers]
+    return [f"{offer.realisation} {offer.agent}" for offer in offers]
 
 
 def explained(matcher: Matcher, primitive: str, constraint: str = "") -> list[str]:
@@ -41,7 +41,7 @@ def test_direct_offers_prefer_own_facts_to_those_of_the_type() -> None:
     crew = Crew(candidate("crane1", "Crane", "truck"), candidate("crane2", "Crane", payload=2.5))
     matcher = Matcher(registry(CRANE), crew)
     first, second = matcher.offers("Lift")
-    assert (first.primitive, first.kind, first.way, first.agent, first.host) == (
+    assert (first.primitive, first.kind, first.realisation, first.agent, first.host) == (
         *("Lift", "direct", "byCrane", "crane1", "truck"),
     )
     assert first.facts["payload"] == Fact(50.0)
@@ -56,7 +56,7 @@ def test_direct_offers_prefer_own_facts_to_those_of_the_type() -> None:
 def test_equivalent_offer_shows_its_part() -> None:
     crew = Crew(candidate("c1", "Copter"), candidate("c2", "Copter", payload=0.1))
     (offer,) = Matcher(registry(COPTER, CLIMB_LIFTS), crew).offers("Lift")
-    assert (offer.kind, offer.way, offer.rule) == ("equivalent", "as_climb_lifts", "climb-lifts")
+    assert (offer.kind, offer.realisation, offer.rule) == ("equivalent", "as_climb_lifts", "climb-lifts")
     behind = offer.parts["as_climb_lifts"]
     assert (behind.primitive, behind.kind, behind.agent) == ("Climb", "direct", "c1")
     assert (offer.agent, offer.facts) == ("c1", behind.facts)
@@ -66,7 +66,7 @@ def test_equivalent_offer_shows_its_part() -> None:
 def test_composition_selects_its_parts_and_computes_its_attributes() -> None:
     crew = Crew(candidate("arm1", "Arm"), candidate("c1", "Copter"), candidate("arm2", "Arm", payload=0.01))
     (offer,) = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew).offers("Lift")
-    assert (offer.kind, offer.way, offer.agent, offer.host) == (
+    assert (offer.kind, offer.realisation, offer.agent, offer.host) == (
         *("composed", "of_grip_and_climb", "arm1+c1", "arm1+c1"),
     )
     grip, climb = offer.parts["of_grip_and_climb_grip"], offer.parts["of_grip_and_climb_climb"]
@@ -148,7 +148,7 @@ def test_rules_are_chained_up_to_the_limit() -> None:
     crew = Crew(candidate("x", "Type"))
     matcher = Matcher(registry(provider("Type", ["P4"]), *rules, top), crew)
     (offer,) = matcher.offers("P0")
-    assert (offer.way, offer.agent) == ("as_r0", "x")
+    assert (offer.realisation, offer.agent) == ("as_r0", "x")
     assert matcher.offers("Top") == []
     assert explained(matcher, "Top")[-1].strip() == "r3: at most 4 rules are chained"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from registry_expectations import BASE, GOLDEN
 
-from lfield.capability import ways
+from lfield.capability import realisations
 from lfield.capability.model import Argument, LiveAttribute, Registry, Weights
 from lfield.capability.program_types.class_generator import prelude
 from lfield.capability.registry_reader.registry_files import check_files, read_registry, shipped
@@ -145,7 +145,7 @@ def test_specific_primitive_serves_the_general_one(write) -> None:
     assert (rule.serves, rule.by, rule.loss, rule.when) == ("Lift", "LiftGently", 0.0, None)
     assert rule.portals["lift"].arguments == (Argument("height"),)
     assert rule.portals["lift"].target == "lift"
-    assert ways.equivalent(rule.name) == "as_LiftGently_is_Lift"
+    assert realisations.equivalent(rule.name) == "as_LiftGently_is_Lift"
 
 
 def test_mission_file_extends_the_shipped_registry(write) -> None:

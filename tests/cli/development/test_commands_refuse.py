@@ -322,9 +322,9 @@ def test_keys_of_another_host_are_refused(lfield, refused, good):
     up = ("up", "--deploy", good, "--host", "alpha", *lfield.maps(["alpha"]), "--keys")
     folder = lfield.keys.give("alpha", "bravo")
     refused(65, "these are the keys of host bravo, not of host alpha", *up, folder / "bravo")
-    lfield.keys.put("alpha", replace(Keyring(folder).made("host", "alpha"), authority=b"nothing"))
+    lfield.keys.put("alpha", replace(Keyring(folder).issue("host", "alpha"), authority=b"nothing"))
     refused(65, "the keys are damaged or mismatched", *up, folder)
-    lfield.keys.put("alpha", lfield.keys.made("host", "alpha", lasts=3600.0))
+    lfield.keys.put("alpha", lfield.keys.issue("host", "alpha", lasts=3600.0))
     refused(65, "but the mission may last 86400 s from", *up, folder)
     refused(65, "has no keys of host alpha", *up, lfield.folder)
     (folder / "alpha" / "host.key").chmod(0o644)
@@ -333,7 +333,7 @@ def test_keys_of_another_host_are_refused(lfield, refused, good):
 
 def test_a_revoked_host_does_not_start(lfield, refused, good):
     maps, folder = lfield.maps(["alpha"]), lfield.keys.folder / "alpha"
-    keys = lfield.keys.made("host", "alpha")
+    keys = lfield.keys.issue("host", "alpha")
     lfield.keys.put(
         "alpha",
         replace(keys, revoked=lfield.keys.revocation_list(2, f"{TlsIdentity(keys).own_identity().serial}")),

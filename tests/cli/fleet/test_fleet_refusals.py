@@ -33,14 +33,14 @@ def team(lfield, robots):
 
 def test_a_bundle_by_a_person_without_the_right_is_refused_by_every_robot(lfield, here, team) -> None:
     here("build", "mission.dL", status=0)
-    lfield.keys.put("me", lfield.keys.made("person", "maria", Right.OBSERVE, Right.OPERATE))
+    lfield.keys.put("me", lfield.keys.issue("person", "maria", Right.OBSERVE, Right.OPERATE))
     refused = here("push", "mission.dL", status=65)
     assert "command" in " ".join(refused.err)
     here("status", status=0)
     # The services refuse a request of such a person also for a bundle that another person has signed.
-    lfield.keys.put("me", lfield.keys.made("person", "anna", Right.OBSERVE, Right.OPERATE, Right.COMMAND))
+    lfield.keys.put("me", lfield.keys.issue("person", "anna", Right.OBSERVE, Right.OPERATE, Right.COMMAND))
     here("sign", "mission.lfm", status=0)
-    lfield.keys.put("me", lfield.keys.made("person", "maria", Right.OBSERVE, Right.OPERATE))
+    lfield.keys.put("me", lfield.keys.issue("person", "maria", Right.OBSERVE, Right.OPERATE))
     refused = here("push", "mission.lfm", status=1)
     assert "takes the right to command" in " ".join(refused.err)
     for command, status in (("start", 1), ("stop", 1), ("rollback", 64)):
@@ -60,7 +60,7 @@ def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield,
 
 @pytest.mark.few(0)
 def test_a_refusal_is_reported_once(lfield, here, team) -> None:
-    lfield.keys.put("me", lfield.keys.made("person", "watcher", Right.OBSERVE))
+    lfield.keys.put("me", lfield.keys.issue("person", "watcher", Right.OBSERVE))
     refused = here("stop", status=1)
     assert refused.err[0].startswith("alpha: REFUSED")
     assert refused.err[0].lower().count("refused") == 1
@@ -128,7 +128,7 @@ def test_a_damaged_bundle_is_named_and_repaired_by_a_push(lfield, here, team) ->
 
 @pytest.mark.few(0)
 def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
-    lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
+    lfield.keys.put("me", lfield.keys.issue("person", "anna", *ALL_RIGHTS, lasts=1.0))
     # The clocks of the processes cannot be set, and the shortest certificate is valid for a second.
     time.sleep(1.5)
     refused = here("status", status=1)

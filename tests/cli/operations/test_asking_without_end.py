@@ -114,7 +114,7 @@ def test_endless_requests_delay_neither_a_flight_nor_a_link_nor_a_stop(lfield, a
     hosts = [lfield.start("up", *words, "--host", name, "--sim", env=alone) for name in ("alpha", "bravo")]
     hosts[1].wait_for("is seen$")
     (door,) = Path(alone["XDG_RUNTIME_DIR"]).rglob("alpha.sock")
-    keys = lfield.keys.made("person", "anna", Right.OBSERVE)
+    keys = lfield.keys.issue("person", "anna", Right.OBSERVE)
     at_tls = maps[1].partition("=")[2], TlsIdentity(keys)
     with flood(*(at_tls if way == "TLS" else (str(door), None))):
         time.sleep(4.0)

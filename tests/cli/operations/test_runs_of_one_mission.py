@@ -124,7 +124,7 @@ def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
     place = Path(own["XDG_RUNTIME_DIR"]) / "lfield"
     place.write_text("in the way\n")
     alone = lfield.mission(PROGRAM, "//Post:near@alpha\n", name="alone")
-    lfield.keys.put("me", lfield.keys.made("person", "anna", Right.COMMAND))
+    lfield.keys.put("me", lfield.keys.issue("person", "anna", Right.COMMAND))
     with_keys = ("--host", "alpha", "--first-start", "--volatile", *lfield.maps(["alpha", "bravo"]))
     for words in ((mission, "--all"), (alone, "--host", "alpha"), (mission, *with_keys)):
         refused = lfield("up", "--deploy", *words, env=own, status=73)

@@ -70,7 +70,7 @@ def test_a_bundle_without_a_valid_signature_does_not_run(lfield, here, made, tmp
     maps = made()
     assert "it is not signed: sign it with 'lfield sign'" in refused(lfield, *maps)
     # A person with only the operate right cannot sign, and their builds do not run either.
-    mine = lfield.keys.made("person", "olga", Right.OPERATE)
+    mine = lfield.keys.issue("person", "olga", Right.OPERATE)
     lfield.keys.put("me", mine)
     here("sign", "mission.lfm", status=65)
     built = lfield("up", "--deploy", "mission.dL", "--host", "alpha", *maps, status=65)
@@ -102,12 +102,12 @@ def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) ->
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")
     words = ("up", "mission.lfm", *maps, "--until-done", "--first-start", "--devices", "robot.yaml")
-    lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
+    lfield.keys.put("me", lfield.keys.issue("person", "olga", Right.OPERATE))
     unsigned = lfield(*words, "--host", "alpha", status=65)
     assert "it is not signed" in unsigned.said
-    lfield.keys.put("me", lfield.keys.made("person", "carl", Right.COMMAND))
+    lfield.keys.put("me", lfield.keys.issue("person", "carl", Right.COMMAND))
     lfield.keys.sign(lfield.folder / "mission.lfm")
-    lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
+    lfield.keys.put("me", lfield.keys.issue("person", "olga", Right.OPERATE))
     # The other run has the devices of the bundle.
     hosts = [lfield.start(*words, "--host", "alpha"), lfield.start(*words[:-2], "--host", "bravo")]
     assert [host.wait() for host in hosts] == [0, 0]

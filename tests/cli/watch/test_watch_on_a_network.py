@@ -162,7 +162,7 @@ def team(lfield, alone):
     host.wait_for("alpha")
 
     def begin(name: str, *may: Right) -> tuple[str, bytes]:
-        lfield.keys.put(name, lfield.keys.made("person", name, *may))
+        lfield.keys.put(name, lfield.keys.issue("person", name, *may))
         root = page_in(lfield.folder / "page")
         # The environment of another computer, without the socket of the host.
         (lfield.folder / "away").mkdir(mode=0o700, exist_ok=True)

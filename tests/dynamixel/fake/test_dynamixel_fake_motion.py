@@ -168,7 +168,7 @@ def test_current_based_position_holds_with_its_goal_current():
 def test_servo_stops_at_an_obstacle_and_can_return():
     bench = Bench(operating_mode=5)
     bench["torque_enable"], bench["goal_current"] = 1, 100
-    bench.servo.motion.motor.meet(math.pi + 0.3)
+    bench.servo.motion.motor.set_obstacle(math.pi + 0.3)
     bench["goal_position"] = 2048 + round(0.6 * COUNTS)
     bench.wait(1.0)
     assert bench["present_position"] == pytest.approx(2048 + 0.3 * COUNTS, abs=2)

@@ -35,7 +35,7 @@ DIGEST = b"b" * 32
 
 
 def kept_digests(team, host):
-    return [page.digest for page in team.disks[host].pages() if isinstance(page, BundleRecord)]
+    return [page.digest for page in team.disks[host].records() if isinstance(page, BundleRecord)]
 
 
 def signed(mission, by="anna"):
@@ -105,7 +105,7 @@ async def test_a_bundle_that_needs_no_signature_is_not_kept(team, /):
 
 async def test_after_a_restart_in_flight_a_revoked_signature_is_accepted_with_a_warning(team, /, tmp_path):
     ring = Keyring(tmp_path / "keys")
-    anna, host = ring.made("person", "anna", Right.COMMAND), ring.made("host", "alpha")
+    anna, host = ring.issue("person", "anna", Right.COMMAND), ring.issue("host", "alpha")
 
     release = BundleId(DIGEST, sign_bundle(DIGEST, anna, time.time()))
     mission = replace(team.mission(PROGRAM, ENDLESS), release=release)

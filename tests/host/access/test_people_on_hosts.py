@@ -44,7 +44,7 @@ def named(monkeypatch, tmp_path):
 
     def admission() -> CertificateAdmission:
         return CertificateAdmission(
-            Keyring(tmp_path).made("host", "alpha"), at("alpha"), TrustedClock(SystemClock())
+            Keyring(tmp_path).issue("host", "alpha"), at("alpha"), TrustedClock(SystemClock())
         )
 
     return admission

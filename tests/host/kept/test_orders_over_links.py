@@ -49,10 +49,10 @@ class Desk:
 
     @property
     def epochs(self) -> Epochs:
-        return self.fleet.lives["alpha"].core.orders.epochs
+        return self.fleet.runs["alpha"].core.orders.epochs
 
     def say(self, message: EmergencyStop | Pause) -> EmergencyStopResult | OrderChallenge:
-        life = self.fleet.lives["alpha"]
+        life = self.fleet.runs["alpha"]
         life.process.loop.enter(lambda: life.host.on_message("", message, self))  # type: ignore[arg-type]
         self.fleet.run(6.0)
         return self.answers[-1]
@@ -65,13 +65,13 @@ class Desk:
 
     @property
     def stopped(self) -> str:
-        return self.fleet.lives["alpha"].host.status().stopped
+        return self.fleet.runs["alpha"].host.status().stopped
 
     def presses(self) -> int:
         return sum("EMERGENCY STOP by anna" in text for _, _, text in self.fleet.log)
 
     def kept(self) -> set[bytes]:
-        pages = self.fleet.disks["alpha"].pages()
+        pages = self.fleet.disks["alpha"].records()
         return {page.order for page in pages if isinstance(page, EmergencyStopFlag | PauseFlag)}
 
 
@@ -114,7 +114,7 @@ def test_a_lift_given_before_a_stop_or_a_pause_does_not_end_it(desk: Desk) -> No
     assert desk.lift(C, bytes(8)) == OrderChallenge(C, desk.epochs)
     assert desk.lift(C, desk.epochs.end) == EmergencyStopResult({"p.fc": ""}, "", C, desk.epochs)
     assert desk.stopped == ""
-    assert desk.fleet.lives["alpha"].host.status().paused
+    assert desk.fleet.runs["alpha"].host.status().paused
 
 
 def test_a_repeated_lift_is_confirmed_and_ends_no_newer_stop(desk: Desk) -> None:
@@ -149,6 +149,6 @@ def test_a_pause_follows_the_same_rules(desk: Desk) -> None:
     assert isinstance(refused, EmergencyStopResult)
     assert refused.trouble.startswith("a newer pause arrived")
     desk.say(Pause(B, lift=True, epoch=desk.epochs.end))
-    assert not desk.fleet.lives["alpha"].host.status().paused
+    assert not desk.fleet.runs["alpha"].host.status().paused
     assert desk.say(Pause(C, epoch=before.hold)) == OrderChallenge(C, desk.epochs)
     assert desk.kept() == {B}

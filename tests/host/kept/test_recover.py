@@ -80,7 +80,7 @@ async def test_the_home_continues_and_the_returned_host_does_not(team, /):
         "and later actions are unknown"
     )
     await team.until(lambda: expected in home.log)
-    pages = team.disks["home"].pages()
+    pages = team.disks["home"].records()
     running = [page.generation for page in pages if getattr(page, "state", "") == "RUN"]
     assert running == [answer.generation]
     (again,) = await team.up(away.host.mission, "away", keeps=True)

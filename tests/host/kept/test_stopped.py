@@ -77,7 +77,7 @@ class Person:
         self._say(Pause(token_bytes(16)))
 
     def _say(self, message: EmergencyStop | Pause) -> None:
-        life = self._fleet.lives["alpha"]
+        life = self._fleet.runs["alpha"]
         order = with_epoch(message, life.core.orders.epochs)
         life.process.loop.enter(lambda: life.host.on_message("", order, self))  # type: ignore[arg-type]
 
@@ -93,12 +93,12 @@ def flying(folder: Path, program: str = PROGRAM, *, keeps: bool = True) -> tuple
 
 def kept(fleet: Fleet) -> str:
     return "".join(
-        page.reason for page in fleet.disks["alpha"].pages() if isinstance(page, EmergencyStopFlag)
+        page.reason for page in fleet.disks["alpha"].records() if isinstance(page, EmergencyStopFlag)
     )
 
 
 def latched(fleet: Fleet) -> str:
-    (device,) = fleet.lives["alpha"].host.status().devices
+    (device,) = fleet.runs["alpha"].host.status().devices
     return device.latched
 
 
@@ -188,7 +188,7 @@ def test_a_paused_host_without_a_journal_does_not_spin(tmp_path: Path) -> None:
     fleet, person = flying(tmp_path, keeps=False)
     person.pause()
     fleet.run(5.0)
-    turns, core = 0, fleet.lives["alpha"].core
+    turns, core = 0, fleet.runs["alpha"].core
     run = core.run
 
     def counted() -> float | None:

@@ -55,7 +55,7 @@ class CertificateWorld:
 
     def __init__(self, folder, monkeypatch) -> None:
         self.ring = Keyring(folder)
-        self.keys = self.ring.made("host", "alpha")
+        self.keys = self.ring.issue("host", "alpha")
         self.now = time.time()
         self.identities: dict[str, Identity] = {}
         self.kept: list[bytes] = []

@@ -42,7 +42,7 @@ def certificate_admission(
 
 
 def test_valid_keys_are_accepted(ring):
-    keys = ring.made("host", "alpha")
+    keys = ring.issue("host", "alpha")
     tls, admission = admission_for(HostCredentials(keys), "alpha", now(), ())
     assert str(tls.own_identity()) == "host alpha"
     assert (admission.number, admission.list, admission.clock_warning()) == (0, b"", None)
@@ -50,16 +50,16 @@ def test_valid_keys_are_accepted(ring):
 
 def test_keys_of_another_holder_are_refused(ring):
     for keys, sentence in (
-        (ring.made("host", "bravo"), "these are the keys of host bravo, not of host alpha"),
-        (ring.made("person", "alpha"), "keys rejected for a host"),
-        (replace(ring.made("host", "alpha"), key=ring.made("host", "bravo").key), "damaged or mismatched"),
+        (ring.issue("host", "bravo"), "these are the keys of host bravo, not of host alpha"),
+        (ring.issue("person", "alpha"), "keys rejected for a host"),
+        (replace(ring.issue("host", "alpha"), key=ring.issue("host", "bravo").key), "damaged or mismatched"),
     ):
         with pytest.raises(KeysError, match=sentence):
             admission_for(HostCredentials(keys), "alpha", now(), ())
 
 
 def test_keys_that_expire_before_the_mission_ends_are_refused(ring):
-    keys = ring.made("host", "alpha", lasts=3600.0)
+    keys = ring.issue("host", "alpha", lasts=3600.0)
     certificate_admission(HostCredentials(keys, min_lifetime=3000.0))
     with pytest.raises(KeysError, match=r"the mission may last 4000 s from .*--lasts"):
         certificate_admission(HostCredentials(keys, min_lifetime=4000.0))
@@ -68,7 +68,7 @@ def test_keys_that_expire_before_the_mission_ends_are_refused(ring):
 
 
 def test_a_clock_after_the_keys_is_compared_with_the_time_of_the_signature(ring):
-    keys = HostCredentials(ring.made("host", "alpha", lasts=3600.0))
+    keys = HostCredentials(ring.issue("host", "alpha", lasts=3600.0))
     signed = time.time()
     admission_for(keys, "alpha", now(), (), signed=lambda: signed)
     with pytest.raises(
@@ -79,14 +79,14 @@ def test_a_clock_after_the_keys_is_compared_with_the_time_of_the_signature(ring)
 
 def test_a_clock_before_the_certificate_is_not_believed(ring):
     admission = certificate_admission(
-        HostCredentials(ring.made("host", "alpha"), min_lifetime=VALIDITY - 3600.0), ManualClock(0.0)
+        HostCredentials(ring.issue("host", "alpha"), min_lifetime=VALIDITY - 3600.0), ManualClock(0.0)
     )
     assert abs(admission.time.now() - time.time()) < 5.0
     assert "since the certificate of host alpha began then; set the clock" in admission.clock_warning()
 
 
 def test_the_time_in_the_journal_counts_unless_it_is_after_the_end_of_the_keys(ring):
-    proof = HostCredentials(ring.made("host", "alpha"))
+    proof = HostCredentials(ring.issue("host", "alpha"))
     later = time.time() + DAY
     admission = certificate_admission(proof, times=(5.0, later, later + 10 * VALIDITY))
     assert abs(admission.time.now() - later) < 5.0
@@ -99,7 +99,7 @@ def store_in(monkeypatch, *folders):
 
 
 def test_the_newest_list_counts_and_a_new_one_is_stored(ring, tmp_path, monkeypatch):
-    keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
+    keys, kept = ring.issue("host", "alpha"), tmp_path / "kept"
     keys = replace(keys, revoked=ring.revocation_list(2, "ff"))
     own = tmp_path / "own"
     keystore.write_keys(own, keys)
@@ -117,7 +117,7 @@ def test_the_newest_list_counts_and_a_new_one_is_stored(ring, tmp_path, monkeypa
 
 def test_an_old_list_is_read_once(ring, tmp_path, monkeypatch):
     admission = certificate_admission(
-        HostCredentials(replace(ring.made("host", "alpha"), revoked=ring.revocation_list(5, "fe", "ff")))
+        HostCredentials(replace(ring.issue("host", "alpha"), revoked=ring.revocation_list(5, "fe", "ff")))
     )
     read = []
 
@@ -137,7 +137,7 @@ def test_an_old_list_is_read_once(ring, tmp_path, monkeypatch):
 
 
 def test_a_list_is_stored_in_the_next_folder_if_the_first_is_not_writable(ring, tmp_path, monkeypatch):
-    keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
+    keys, kept = ring.issue("host", "alpha"), tmp_path / "kept"
     unwritable = tmp_path / "file"
     unwritable.write_text("no folder can be made here")
     store_in(monkeypatch, unwritable / "keys", kept)
@@ -153,13 +153,13 @@ def test_a_damaged_stored_list_is_named(ring, tmp_path, length):
     path = kept / "revoked.crl"
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(KeysError, match=f"{path}.* copy it again"):
-        certificate_admission(HostCredentials(ring.made("host", "alpha"), (kept,)))
+        certificate_admission(HostCredentials(ring.issue("host", "alpha"), (kept,)))
 
 
 def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, monkeypatch):
     """After a restart this host would accept the revoked certificates."""
     monkeypatch.setattr(crl_store, "RETRY_AFTER", 0.001)
-    keys, kept, lines = ring.made("host", "alpha"), tmp_path / "kept", []
+    keys, kept, lines = ring.issue("host", "alpha"), tmp_path / "kept", []
     tries = []
 
     def keep(folders, data):
@@ -169,7 +169,7 @@ def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, mo
     monkeypatch.setattr(crl_store, "write_crl", keep)
     admission = certificate_admission(HostCredentials(keys, (kept,)))
     admission.note = lines.append
-    anna = identity_in(ring.made("person", "anna").certificate, keys.authority)
+    anna = identity_in(ring.issue("person", "anna").certificate, keys.authority)
     kept.write_text("no folder can be made here")
 
     async def story():
@@ -194,7 +194,7 @@ def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, mo
 
 
 def test_a_revoked_host_does_not_start(ring):
-    keys = ring.made("host", "alpha")
+    keys = ring.issue("host", "alpha")
     with pytest.raises(
         KeysError, match=r"are revoked \(list 3\): make new ones with 'lfield keys host alpha'"
     ):
@@ -208,7 +208,7 @@ def test_a_revoked_host_does_not_start(ring):
 def test_a_list_of_another_authority_is_refused(ring):
     other = Keyring(ring.folder).revocation_list(9, "ff")
     with pytest.raises(KeysError, match="the revocation list is not signed by this authority"):
-        certificate_admission(HostCredentials(replace(ring.made("host", "alpha"), revoked=other)))
+        certificate_admission(HostCredentials(replace(ring.issue("host", "alpha"), revoked=other)))
 
 
 def test_only_a_single_host_needs_no_keys():

@@ -42,10 +42,10 @@ class Team:
 
     @property
     def host(self) -> Any:
-        return self.team._fleet.lives["alpha"].host
+        return self.team._fleet.runs["alpha"].host
 
     def _send(self, message: Any, sender: Sender) -> EmergencyStopResult | None:
-        life, count = self.team._fleet.lives["alpha"], len(sender.answers)
+        life, count = self.team._fleet.runs["alpha"], len(sender.answers)
         life.process.loop.enter(partial(self.host.on_message, "", message, cast("Link", sender)))
         self.team.run(8.0)
         return sender.answers[-1] if len(sender.answers) > count else None

@@ -242,7 +242,7 @@ def test_a_person_without_the_right_to_stop_is_denied():
     world.run(3.0)
     denied = desk.asking.results["alpha"]
     assert isinstance(denied, OrderDenied)
-    assert "takes the right to stop" in denied.why
+    assert "takes the right to stop" in denied.reason
     assert world.posts["alpha"].executed == []
 
 
@@ -279,7 +279,7 @@ def test_a_revoked_person_is_denied(known):
     world.run(3.0)
     denied = desk.asking.results["alpha"]
     assert isinstance(denied, OrderDenied)
-    assert "are revoked (list 1)" in denied.why
+    assert "are revoked (list 1)" in denied.reason
     assert alpha.executed == []
 
 

@@ -50,7 +50,7 @@ class CallingPerson:
 
     @property
     def _life(self):
-        return self._fleet.lives[self._host]
+        return self._fleet.runs[self._host]
 
     def enter(self, message: Control) -> None:
         life = self._life

@@ -32,7 +32,7 @@ def vehicle(folder: Path, hold: str = IDLE, deployment: str = DEPLOYMENT, **file
 def test_an_emergency_stop_makes_device_calls_of_persons_fail(tmp_path: Path) -> None:
     fleet = vehicle(tmp_path)
     anna = CallingPerson(fleet)
-    anna.enter(with_epoch(EmergencyStop(b"s" * 16, "fire"), fleet.lives["alpha"].core.orders.epochs))
+    anna.enter(with_epoch(EmergencyStop(b"s" * 16, "fire"), fleet.runs["alpha"].core.orders.epochs))
     fleet.run(2.0)
     found = anna.result("climb", 5.0)
     assert (found.outcome, found.kind) == ("thrown", "DeviceException")
@@ -93,7 +93,7 @@ def test_the_dead_mans_switch_counts_a_person_while_a_call_runs(tmp_path: Path) 
     anna = CallingPerson(fleet)
     anna.call("slow", 15.0, limit=100.0)
     fleet.run(18.0)
-    device = fleet.lives["alpha"].host.guards
+    device = fleet.runs["alpha"].host.guards
     assert not device.latched.get("post.fc")
     fleet.run(15.0)
     assert [found.outcome for found in anna.results] == ["returned"]
@@ -114,7 +114,7 @@ def test_the_death_of_the_resource_ends_the_call(tmp_path: Path) -> None:
     fleet.run(6.0)
     assert [found.kind for found in anna.results] == ["UnreachableResourceException"]
     assert anna.result("rest").kind == "UnreachableResourceException"
-    assert fleet.lives["alpha"].core.machine.person_portals.running == []
+    assert fleet.runs["alpha"].core.machine.person_portals.running == []
 
 
 LEASED = """
@@ -142,7 +142,7 @@ def test_a_host_without_a_lease_refuses_calls_and_ends_pending_ones(tmp_path: Pa
         LEASED,
         "//Post:post@alpha\n//Far:far@bravo\n//Far:more@charlie\n//Safe:safe@bravo\n",
     )
-    core = fleet.lives["alpha"].core
+    core = fleet.runs["alpha"].core
     assert core.leases.leased_agents == {"safe"}
     fleet.run(10.0)
     anna = CallingPerson(fleet)
@@ -153,5 +153,5 @@ def test_a_host_without_a_lease_refuses_calls_and_ends_pending_ones(tmp_path: Pa
     fleet.cut("alpha", "charlie")
     fleet.run(20.0)
     assert [found.kind for found in anna.results[1:]] == ["RestartException"]
-    assert fleet.lives["alpha"].host.guards.latched["post.fc"]
+    assert fleet.runs["alpha"].host.guards.latched["post.fc"]
     assert anna.result("fine").kind == "paused"

@@ -97,7 +97,7 @@ def test_ids_are_kept_longer_than_clients_repeat_them(fleet) -> None:
     fleet.run(1.0)
     assert len(anna.results) == 2
     assert anna.value("add", 0) == 1
-    calls = fleet.lives["alpha"].core.person_calls
+    calls = fleet.runs["alpha"].core.person_calls
     fleet.run(2 * person_calls.KEEP_ID)
     assert calls.kept_ids == 0
 
@@ -207,7 +207,7 @@ def test_a_host_that_stops_answers_running_calls_at_once(fleet) -> None:
     anna = CallingPerson(fleet)
     anna.call("wait", 100.0, limit=300.0)
     fleet.run(1.0)
-    life = fleet.lives["alpha"]
+    life = fleet.runs["alpha"]
     life.process.loop.enter(lambda: life.host.dispatch(AgentsHalt()))
     fleet.run(1.0)
     (found,) = anna.results
@@ -251,7 +251,7 @@ def test_the_size_of_results_is_limited(fleet, monkeypatch) -> None:
 
 
 def test_the_running_call_is_listed_with_its_caller(fleet) -> None:
-    core = fleet.lives["alpha"].core
+    core = fleet.runs["alpha"].core
     anna = CallingPerson(fleet)
     anna.call("wait", 2.0)
     fleet.run(1.0)

@@ -188,7 +188,7 @@ def test_a_coordinator_that_continues_after_a_restart_keeps_an_unexpired_reserva
     team.run(2.0)
     team.crash("alpha")
     team.run(seconds_off)
-    held = team._fleet.lives["bravo"].core.reservations.held
+    held = team._fleet.runs["bravo"].core.reservations.held
     assert [each.resource for each in held] == ["b"][lost:]
     team.boot("alpha")
     team.run(until=lambda: "pilot" in team.ended, at_most=100.0)
@@ -211,7 +211,7 @@ def test_after_a_restart_the_reservation_lasts_for_its_lease(open_team):
     team.run(1.0)
     team.boot("bravo")
     booted = team.now
-    held = team._fleet.lives["bravo"].core.reservations
+    held = team._fleet.runs["bravo"].core.reservations
     team.run(5.0)
     assert [(each.resource, each.holder) for each in held.held] == [("b", ("pilot", 1))]
     team.run(booted + 7.0 - team.now)
@@ -244,7 +244,7 @@ def test_the_reservation_of_a_crashed_host_ends_with_its_lease(open_team):
 
 def at_host(team: MissionTeam, host: str, action: Callable[[HostCore], object]) -> None:
     """An action of an operator at a host."""
-    life = team._fleet.lives[host]
+    life = team._fleet.runs[host]
 
     def act() -> None:
         action(life.core)
@@ -279,11 +279,11 @@ def test_a_recovered_coordinator_has_lost_its_reservation(open_team):
     team.run(1.0)
     team.power_off("alpha")
     team.run(1.0)
-    row = next(row for row in team._fleet.lives["bravo"].core.mobility.known_states() if row.agent == "pilot")
+    row = next(row for row in team._fleet.runs["bravo"].core.mobility.known_states() if row.agent == "pilot")
     at_host(team, "bravo", lambda core: core.recover(RecoverRequest("pilot", 1, row.sequence, 1)))
     team.run(15.0)
     assert team.said("pilot recovered on this host as start ") == 1
-    assert [held.resource for held in team._fleet.lives["bravo"].core.reservations.held] == []
+    assert [held.resource for held in team._fleet.runs["bravo"].core.reservations.held] == []
     assert [call.portal for call in team.calls if call.resource == "b"] == ["work"]
 
 
@@ -393,7 +393,7 @@ def test_a_coordinator_recovered_in_a_block_is_informed_of_the_resource(open_tea
     team.run(3.0)
     team.power_off("bravo")
     team.run(1.0)
-    row = next(row for row in team._fleet.lives["alpha"].core.mobility.known_states() if row.agent == "pilot")
+    row = next(row for row in team._fleet.runs["alpha"].core.mobility.known_states() if row.agent == "pilot")
     at_host(team, "alpha", lambda core: core.recover(RecoverRequest("pilot", 1, row.sequence, 1)))
     team.run(5.0)
     assert team.said(" (b)") >= 1

@@ -59,7 +59,7 @@ class Telemetry:
     def __init__(self, running, number):
         self.clock, self.number, self.values = running.host.clock, number, {}
         guards = running.host.guards
-        guards.open, guards.last, guards.trouble = self.open, self.last, {}.get
+        guards.open, guards.last, guards.unavailability = self.open, self.last, {}.get
 
     async def open(self, devices, recording):
         pass
@@ -84,7 +84,7 @@ async def test_a_query_from_outside_equals_that_of_the_program(team, /, conditio
     devices[1].values["battery"] = 0.9
     await asyncio.sleep(1.7)
     files = read_context(team.folder / "mission.dL", mission.team)
-    registry, ways = files.registry, files.ways
+    registry, ways = files.registry, files.realisations
     numbers = {member.id: member.number for member in mission.team.members}
     for name, running in hosts.items():
         status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
@@ -134,7 +134,7 @@ async def test_places_and_reservations_give_the_same_answer_inside_and_outside(t
     registry, pose, deployed = files.registry, files.frames.place(at), mission.team.deployed
 
     def asked(roster):
-        matcher = Matcher(registry, roster, files.ways)
+        matcher = Matcher(registry, roster, files.realisations)
         return matcher.find("Lift", ANY_OFFER).offers, render_refusals(
             matcher.explain("Lift", ANY_OFFER.condition)
         )

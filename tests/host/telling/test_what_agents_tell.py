@@ -68,7 +68,7 @@ class Telemetry:
         self.values = {}
         self.clock = running.host.clock
         guards = running.host.guards
-        guards.open, guards.last, guards.trouble = self.open, self.last, {}.get
+        guards.open, guards.last, guards.unavailability = self.open, self.last, {}.get
 
     async def open(self, devices, recording):
         pass

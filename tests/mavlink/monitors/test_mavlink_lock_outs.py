@@ -66,7 +66,7 @@ def test_lock_out_persists_over_guard_host_and_computer_restarts(tmp_path, lfiel
     team.fake("p.fc").set("motor_failure=false")
     fleet = team._fleet
     if ends == "guard":
-        host = fleet.lives["alpha"].process
+        host = fleet.runs["alpha"].process
         next(each for each in fleet.computers["alpha"].processes if each is not host).die(-9)
     else:
         team.run(0.5)
@@ -78,7 +78,7 @@ def test_lock_out_persists_over_guard_host_and_computer_restarts(tmp_path, lfiel
     tried = [line.text for line in team.log[began:] if "done:" in line.text]
     assert len(tried) >= 2
     assert {text.split("done:")[1].strip() for text in tried} == {""}
-    life = fleet.lives["alpha"]
+    life = fleet.runs["alpha"]
     lift = with_epoch(EmergencyStop(token_bytes(16), "", lift=True), life.core.orders.epochs)
     life.process.loop.enter(lambda: life.host.on_message("", lift, Operator()))
     team.run(until="done: released ready armed", at_most=60.0)

@@ -241,12 +241,12 @@ def test_accepted_command_without_effect_is_an_error(bench, monkeypatch):
 @on_bench("bench")
 async def test_motion_without_progress_is_given_up(b, fc, /):
     await up(fc)
-    b.autopilot.pace.own = lambda: 0.0
+    b.autopilot.speed_control.own_speed = lambda: 0.0
     with pytest.raises(DeviceError, match="goTo failed: no progress for 10 s, 30"):
         await fc.execute("goTo", [30.0, 0.0, -5.0])
     # It does not start later when the obstruction is gone.
     place = b.autopilot.vehicle.place
-    b.autopilot.pace.own = lambda: 5.0
+    b.autopilot.speed_control.own_speed = lambda: 5.0
     await asyncio.sleep(3.0)
     assert b.autopilot.vehicle.place == pytest.approx(place, abs=0.2)
 

@@ -166,7 +166,7 @@ async def test_changed_speed_is_reported_and_commanded_again(b, fc, /):
     await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
     await asyncio.sleep(3.0)
-    b.autopilot.pace.change(7.0)  # by another ground station
+    b.autopilot.speed_control.change(7.0)  # by another ground station
     await asyncio.sleep(12.0)
     assert b.values["groundSpeed"] == pytest.approx(3.0, abs=0.1)
     await flight
@@ -204,7 +204,7 @@ def test_overspeed_without_effective_correction_is_a_breach(limited, monkeypatch
 
     async def mission(fc):
         await up(fc)
-        b.autopilot.pace.own = lambda: 7.0
+        b.autopilot.speed_control.own_speed = lambda: 7.0
         flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
         await asyncio.sleep(6.0)
         flight.cancel()
@@ -229,7 +229,7 @@ async def test_lost_correction_is_repeated_without_a_breach(b, fc, /):
             send(data)
 
     b.links[0].send = lose_two
-    b.autopilot.pace.change(7.0)
+    b.autopilot.speed_control.change(7.0)
     await flight
     assert len(lost) == 2
     assert "within its limit of 3 m/s again" in b.notes
@@ -266,7 +266,7 @@ async def test_excess_under_pilot_control_is_only_reported(b, fc, /):
     b.autopilot.enter("RTL")
     b.autopilot.parameters["RTL_ALT"] = 500
     b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
-    b.autopilot.pace.change(7.0)
+    b.autopilot.speed_control.change(7.0)
     await asyncio.sleep(8.0)
     (report,) = [note for note in b.notes if note.code == "mavlink-limit-exempt"]
     assert report.endswith("since a pilot or a failsafe controls it in RTL")

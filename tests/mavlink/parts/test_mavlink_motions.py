@@ -135,7 +135,7 @@ async def test_standing_slow_vehicle_is_given_up(b, fc, /):
     await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [9.0, 0.0, -5.0]))
     await asyncio.sleep(5.0)
-    b.autopilot.pace.change(0.001)
+    b.autopilot.speed_control.change(0.001)
     start = asyncio.get_running_loop().time()
     with pytest.raises(DeviceError, match=r"goTo failed: no progress for 10 s, 8\.\d m from its goal"):
         await flight

@@ -21,11 +21,11 @@ from lfield.testing.keyring import Keyring
 from lfield.testing.transport_kit import MAX_BLOCK, Recorder
 
 TEAM, OTHER = Keyring(Path("unused")), Keyring(Path("unused"))
-ANNA = TlsIdentity(TEAM.made("person", "anna", *ALL_RIGHTS))
+ANNA = TlsIdentity(TEAM.issue("person", "anna", *ALL_RIGHTS))
 
 
 def served(host: str, team: Keyring = TEAM) -> TcpTransport:
-    return TcpTransport(MAX_BLOCK, TlsIdentity(team.made("host", host)))
+    return TcpTransport(MAX_BLOCK, TlsIdentity(team.issue("host", host)))
 
 
 def port_of(listener) -> str:

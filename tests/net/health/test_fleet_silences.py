@@ -41,16 +41,16 @@ def fleet_of(folder: Path, seed: int) -> Fleet:
 
 
 def linked(fleet: Fleet) -> list[bool]:
-    return [other in fleet.lives[host].host.peers.incarnations for host, other in ENDS]
+    return [other in fleet.runs[host].host.peers.incarnations for host, other in ENDS]
 
 
 def links(fleet: Fleet) -> list[object]:
-    return [fleet.lives[host].host.peers.link_of(other) for host, other in ENDS]
+    return [fleet.runs[host].host.peers.link_of(other) for host, other in ENDS]
 
 
 def silences(fleet: Fleet) -> list[float]:
     """Time since each host last received from the other, by its own clock."""
-    both = [(fleet.lives[host].host.peers, other) for host, other in ENDS]
+    both = [(fleet.runs[host].host.peers, other) for host, other in ENDS]
     return [peers.now() - (peers.last_contact_at(other) or 0.0) for peers, other in both]
 
 
@@ -113,7 +113,7 @@ def test_the_silence_of_an_idle_link_is_noticed_within_ten_seconds(tmp_path, see
 def test_an_idle_link_sends_rare_heartbeats_and_a_hop_makes_it_busy(tmp_path):
     fleet = fleet_of(tmp_path, 1)
     fleet.run(20.0)
-    alpha = fleet.lives["alpha"].host.peers
+    alpha = fleet.runs["alpha"].host.peers
     seen = []
     for _ in range(60):
         fleet.run(1.0)

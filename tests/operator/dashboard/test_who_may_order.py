@@ -43,14 +43,14 @@ def barred(
 def test_rights_of_the_certificate_decide_on_the_buttons(
     may: tuple[Right, ...], not_may: set[str], tmp_path
 ) -> None:
-    keys = Keyring(tmp_path).made("person", "anna", *may)
+    keys = Keyring(tmp_path).issue("person", "anna", *may)
     found = barred({"alpha": "10.0.0.5:8181"}, keys)
     assert set(found) == not_may
     assert all("lfield keys person anna --may" in why for why in found.values())
 
 
 def test_access_rules_remove_buttons_but_never_stop(tmp_path: Path) -> None:
-    keys = Keyring(tmp_path).made("person", "anna", Right.OBSERVE, Right.STOP, Right.OPERATE)
+    keys = Keyring(tmp_path).issue("person", "anna", Right.OBSERVE, Right.STOP, Right.OPERATE)
     for names in ("anna", "others"):
         access = Access("mission.access.yaml", (PersonRule(names, (Right.OBSERVE,), 2),))
         found = barred({"alpha": "10.0.0.5:8181"}, keys, access)
@@ -76,7 +76,7 @@ def test_the_user_of_a_host_has_all_buttons_and_other_users_get_the_reason(
 def test_a_button_that_one_host_accepts_stays(tmp_path: Path) -> None:
     door = tmp_path / "alpha.sock"
     door.write_text("")
-    keys = Keyring(tmp_path / "keys").made("person", "anna", Right.OBSERVE)
+    keys = Keyring(tmp_path / "keys").issue("person", "anna", Right.OBSERVE)
     assert barred({"alpha": f"unix:{door}", "beta": "10.0.0.5:8181"}, keys) == {}
 
 

@@ -309,9 +309,9 @@ def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
                 host.datagrams.on_datagram(data, Sender("desk", sender))
 
             asyncio.get_running_loop().add_reader(port, read)
-            party = TargetTeam((), {"h1": f"127.0.0.1:{port.getsockname()[1]}"})
+            target = TargetTeam((), {"h1": f"127.0.0.1:{port.getsockname()[1]}"})
             for request in (emergency_stop("fire"), pause()):
-                answers = await asyncio.to_thread(ask_teams, [party], request, tmp_path / "keys")
+                answers = await asyncio.to_thread(ask_teams, [target], request, tmp_path / "keys")
                 assert answers[HostRef("", "h1")].devices == host.devices
                 received.append(None)
             asyncio.get_running_loop().remove_reader(port)

@@ -66,7 +66,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mission = load_mission(Path(SERVER))
     fleet = Fleet(mission, options=FleetOptions(record=RecordingDirectory(folder, 1 << 20)))
     fleet.run(4.0)
-    for name in list(fleet.lives):
+    for name in list(fleet.runs):
         fleet.stop(name)
     fleet.run(2.0)
     fleet.close()

@@ -71,7 +71,7 @@ def test_an_error_of_the_recorder_ends_the_recording_but_not_the_host(fails, tmp
         raise ValueError("no encoding")
 
     monkeypatch.setattr(FrameBuffer, fails.__name__, fail)
-    for life in fleet.lives.values():
+    for life in fleet.runs.values():
         life.host.note(log_messages.NO_DESCRIPTORS.line(reason="an event of the shell"))
     fleet.run(2.0)
     before = len(fleet.log)
@@ -79,7 +79,7 @@ def test_an_error_of_the_recorder_ends_the_recording_but_not_the_host(fails, tmp
     log = [text for _, host, text in fleet.log if "ValueError: no encoding" in text]
     assert len(log) == len(memory.sinks) == 2
     assert len(fleet.log) > before
-    assert all(life.host.failure is None for life in fleet.lives.values())
+    assert all(life.host.failure is None for life in fleet.runs.values())
     assert not compare(recorded(fleet.mission, memory), at_checkpoints=False).differences
     fleet.close()
 

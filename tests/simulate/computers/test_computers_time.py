@@ -80,7 +80,7 @@ def test_computation_takes_time_in_which_the_process_handles_no_event() -> None:
 
 def test_a_wake_up_slightly_too_early_does_not_repeat_without_end() -> None:
     timeline = EventQueue()
-    timeline.now, timeline.most = 1e6, 100
+    timeline.now, timeline.max_events = 1e6, 100
     machine = SimulatedMachine("m", timeline, random.Random(1))
     machine.clock = MachineClock(timeline, start=1.0)
     loop = (
@@ -104,7 +104,7 @@ def test_a_wake_up_slightly_too_early_does_not_repeat_without_end() -> None:
 
 def test_too_many_events_end_a_simulation() -> None:
     timeline = EventQueue()
-    timeline.most = 1000
+    timeline.max_events = 1000
 
     def again() -> None:
         timeline.after(0.0, again)

@@ -145,15 +145,15 @@ def run_story(folder: Path, seed: int, at_most: float = 600.0) -> None:
         fleet.run(rng.uniform(0.1, 4.0))
         host, other = rng.sample(HOSTS, 2)
         match rng.choice(("crash", "crash", "power", "cut")):
-            case "crash" if host in fleet.lives:
+            case "crash" if host in fleet.runs:
                 fleet.crash(host)
-            case "power" if host in fleet.lives:
+            case "power" if host in fleet.runs:
                 fleet.power_off(host)
             case "cut":
                 fleet.cut(host, other)
         fleet.run(rng.uniform(0.1, 6.0))
         fleet.heal(host, other)
-        if host not in fleet.lives:
+        if host not in fleet.runs:
             fleet.boot(host)
     fleet.heal_all()
     team.finish(at_most)

@@ -125,7 +125,7 @@ def test_an_ordered_stop_stays_in_force_after_its_limit(team) -> None:
     fleet.heal_all()
     fleet.run(15.0)
     assert count_logged(fleet, "home") == 1, fleet.log
-    assert not any("patrol" in life.core.machine.agents for life in fleet.lives.values())
+    assert not any("patrol" in life.core.machine.agents for life in fleet.runs.values())
 
 
 def test_start_and_stop_need_separate_rights(team) -> None:

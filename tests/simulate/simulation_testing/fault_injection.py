@@ -136,7 +136,7 @@ class FaultInjector:
         for disk in self.fleet.disks.values():
             disk.full, disk.broken, disk.slow = False, False, 0.0
         self.fleet.heal_all()
-        if self.fleet.gone and self.operator is None:
+        if self.fleet.lost_hosts and self.operator is None:
             self.operator = SimulatedOperator(self.fleet, self._judges, self._rng)
         if self.operator is not None:
             self.operator.free_all()
@@ -230,7 +230,7 @@ class FaultInjector:
     # --- computers and processes ----------------------------------------------------------------------
 
     def _runs(self, fault: Fault, what: str) -> bool:
-        if runs := fault.one in self.fleet.lives:
+        if runs := fault.one in self.fleet.runs:
             self._note(f"{what} {fault.one}")
         return runs
 
@@ -251,7 +251,7 @@ class FaultInjector:
 
     def _gone(self, fault: Fault) -> None:
         """Lose a host permanently, if the others can continue without it."""
-        members, gone = self.fleet.mission.recovery.members, self.fleet.gone
+        members, gone = self.fleet.mission.recovery.members, self.fleet.lost_hosts
         if len(gone) < (len(members) - 1) // 2 and fault.one not in gone:
             self._note(f"{fault.one} is permanently lost")
             self.fleet.lose(fault.one)
@@ -264,7 +264,7 @@ class FaultInjector:
 
     def _start(self, name: str) -> None:
         """Restart a host, after its end if it is still ending."""
-        life = self.fleet.lives.get(name)
+        life = self.fleet.runs.get(name)
         if life is not None and life.shutdown_signals.first_requested.is_set():
             self._after(0.5, partial(self._start, name))
         elif life is None and name not in self.fleet.left:
@@ -272,7 +272,7 @@ class FaultInjector:
 
     def _stop(self, fault: Fault) -> None:
         if self._runs(fault, "stop"):
-            self._freeze(self.fleet.lives[fault.one].process, fault)
+            self._freeze(self.fleet.runs[fault.one].process, fault)
 
     def _freeze(self, process: SimulatedProcess, fault: Fault) -> None:
         process.loop.freeze()
@@ -345,7 +345,7 @@ class FaultInjector:
 
     def _wreck(self, fault: Fault) -> None:
         """Lose a host permanently; no majority may continue without it, so an operator must act."""
-        if self.operator is None or self.fleet.gone or self.fleet.mission.fenced:
+        if self.operator is None or self.fleet.lost_hosts or self.fleet.mission.fenced:
             return
         self._note(f"{fault.one} is wrecked")
         self.fleet.lose(fault.one)
@@ -364,7 +364,7 @@ class FaultInjector:
             self._freeze(guard, fault)
 
     def _guard(self, fault: Fault) -> SimulatedProcess | None:
-        hosts = [life.process for life in self.fleet.lives.values()]
+        hosts = [life.process for life in self.fleet.runs.values()]
         guards = [p for p in self.fleet.computers[fault.one].processes if p not in hosts]
         return guards[int(fault.size * len(guards))] if guards else None
 

@@ -134,7 +134,7 @@ class SimulatedOperator:
     async def _start(self) -> None:
         """Start like `lfield start --without` the lost hosts: coordinators that were not started during a
         stop."""
-        request = Request(StartRequest(sorted(self._fleet.gone)), StartResponse, 8.0, is_retried=True)
+        request = Request(StartRequest(sorted(self._fleet.lost_hosts)), StartResponse, 8.0, is_retried=True)
         self._starts = True
         try:
             await ask_all(self._transport, self._places, request)
@@ -172,7 +172,8 @@ class SimulatedOperator:
         silent = {place.host for place, host in hosts.items() if not host.linked}
         known = [known for _, known in records(agent, hosts)]
         newest = max(known, key=lambda known: (known.generation, known.hops, known.sequence), default=None)
-        return silent <= self._fleet.gone and newest is not None and newest.where in self._fleet.gone
+        lost = self._fleet.lost_hosts
+        return silent <= lost and newest is not None and newest.where in lost
 
     async def _recover(self, agent: str, hosts: _Hosts) -> bool:
         """Recover like `lfield recover`."""
@@ -212,7 +213,7 @@ class SimulatedOperator:
         self.retry_orphans()
         for hold in self.presses:
             self._start_task(partial(self._lift, hold))
-        if self._fleet.gone and not self._starts:
+        if self._fleet.lost_hosts and not self._starts:
             self._start_task(self._start)
 
 

@@ -66,7 +66,7 @@ def count_logged(fleet: Fleet, text: str, host: str = "") -> int:
 
 
 def status(fleet: Fleet, host: str) -> Status:
-    return fleet.lives[host].host.status()
+    return fleet.runs[host].host.status()
 
 
 def started(fleet: Fleet) -> bool:
@@ -75,7 +75,7 @@ def started(fleet: Fleet) -> bool:
 
 def event(fleet: Fleet, entry: HostInput) -> None:
     """Feed an input to alpha, in its own process."""
-    life = fleet.lives["alpha"]
+    life = fleet.runs["alpha"]
     life.process.loop.enter(lambda: life.host.dispatch(entry))
 
 
@@ -131,7 +131,7 @@ def test_a_host_left_out_by_the_devices_file_may_start_later(tmp_path: Path) -> 
 def test_a_command_starts_without_a_host_and_refuses_an_unknown_one(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
-    core = fleet.lives["alpha"].core
+    core = fleet.runs["alpha"].core
     answer = core.startup.start(["karol"])
     assert answer.trouble == "the deployment has no host 'karol': did you mean 'carol'?"
     assert (answer.started, answer.waiting and answer.waiting.hosts) == ([], ["carol"])
@@ -228,7 +228,7 @@ def test_a_crash_during_the_wait_leaves_a_start_that_waits(tmp_path: Path) -> No
     fleet.boot("alpha")
     fleet.run(20.0)
     assert not started(fleet)
-    assert not any(isinstance(page, StartCounter) and page.count for page in fleet.disks["alpha"].pages())
+    assert not any(isinstance(page, StartCounter) and page.count for page in fleet.disks["alpha"].records())
     fleet.boot("carol")
     fleet.run(3.0)
     assert started(fleet)
@@ -239,7 +239,7 @@ def test_a_stop_of_the_host_ends_the_wait(tmp_path: Path) -> None:
     fleet.run(5.0)
     fleet.stop("alpha")
     fleet.run(5.0)
-    assert "alpha" not in fleet.lives
+    assert "alpha" not in fleet.runs
     fleet.boot("carol")
     fleet.run(5.0)
     assert not started(fleet)
@@ -281,7 +281,7 @@ def test_in_an_overlay_the_start_needs_all_hosts_not_only_neighbours(tmp_path: P
     team = "//Boss:boss@h00?{0}\n" + "".join(f"//Post:p{name}@{name}\n" for name in names)
     made = mission(tmp_path, team=team)
     fleet = Fleet(made, 1)
-    near = fleet.lives["h00"].core.membership.neighbours
+    near = fleet.runs["h00"].core.membership.neighbours
     far = next(name for name in names[1:] if name not in near)
     fleet.power_off(far)
     fleet.run(30.0)
@@ -298,7 +298,7 @@ def test_until_done_waits_as_long_as_the_start_does(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 1, options=FleetOptions(lost_after=3.0))
     fleet.power_off("carol")
     fleet.run(60.0)
-    assert {"alpha", "bravo"} <= fleet.lives.keys()
+    assert {"alpha", "bravo"} <= fleet.runs.keys()
     fleet.boot("carol")
     fleet.run(20.0)
     assert fleet.left == dict.fromkeys(fleet.mission.team.hosts, 0)
@@ -312,7 +312,7 @@ def test_a_start_that_waits_for_hosts_and_a_lease_uses_no_processor_time(tmp_pat
     for name in ("bravo", "carol", "dora"):
         fleet.power_off(name)
     fleet.run(5.0)
-    core = fleet.lives["alpha"].core
+    core = fleet.runs["alpha"].core
     runs, run = [0], core.run
 
     def counted() -> float | None:

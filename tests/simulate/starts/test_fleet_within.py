@@ -82,7 +82,7 @@ def process(host: str, *, frozen: bool) -> Event:
 
     def apply(fleet: Fleet) -> None:
         if frozen:
-            fleet.lives[host].process.loop.freeze()
+            fleet.runs[host].process.loop.freeze()
         else:
             fleet.crash(host)
 
@@ -270,7 +270,7 @@ def paused(host: str, *, on: bool) -> Event:
     """Pause or resume the mission at a host."""
 
     def apply(fleet: Fleet) -> None:
-        life = fleet.lives[host]
+        life = fleet.runs[host]
         life.process.loop.enter(lambda: life.host.dispatch(PauseOrdered(on)))
 
     return apply

@@ -109,12 +109,10 @@ def test_the_judge_finds_a_call_for_a_superseded_copy() -> None:
     shadow = next(
         page for page in judge.fleet.pages_left if isinstance(page, CoordinatorRecord) and page.block
     )
-    while not (
-        holders := [life for life in judge.fleet.lives.values() if life.core.machine.agents.get("w0")]
-    ):
+    while not (holders := [life for life in judge.fleet.runs.values() if life.core.machine.agents.get("w0")]):
         judge.fleet.run(0.05)
     copy = holders[0].core.machine.agents["w0"]
-    other = next(life for life in judge.fleet.lives.values() if life not in holders)
+    other = next(life for life in judge.fleet.runs.values() if life not in holders)
     assert not judge.breaches
     successor = other.core.machine.restore(copy.member, shadow.block, copy.limits)
     successor.block.w[W_GENERATION] = GENERATION_STRIDE + 1

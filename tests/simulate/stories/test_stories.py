@@ -83,18 +83,18 @@ def test_an_operator_stops_and_pauses_a_team_until_it_is_lifted() -> None:
     fleet.run(4.0)
     operator.press("pause", 3.0)
     fleet.run(1.0)
-    paused, calls = [life.core.coordinators.paused for life in fleet.lives.values()], judge.calls
+    paused, calls = [life.core.coordinators.paused for life in fleet.runs.values()], judge.calls
     fleet.run(1.0)
     assert paused == [True] * 3
     assert judge.calls == calls
     operator.press("stop", 20.0)
     fleet.run(4.0)
-    assert {life.core.coordinators.stopped for life in fleet.lives.values()} != {""}
-    assert not any(life.core.coordinators.paused for life in fleet.lives.values())
+    assert {life.core.coordinators.stopped for life in fleet.runs.values()} != {""}
+    assert not any(life.core.coordinators.paused for life in fleet.runs.values())
     assert judge.calls > calls
     operator.free_all()
     fleet.run(2.0)
-    assert {life.core.coordinators.stopped for life in fleet.lives.values()} == {""}
+    assert {life.core.coordinators.stopped for life in fleet.runs.values()} == {""}
     assert operator.carried_out == {"pause": 3, "stop": 3}
     judge.check()
     assert not judge.breaches
@@ -109,7 +109,7 @@ def test_a_late_order_does_not_end_a_stop_given_after_it(hold: Hold) -> None:
     operator = SimulatedOperator(fleet, judge.orders, random.Random(1))
 
     def held() -> list[bool]:
-        cores = [life.core.coordinators for _, life in sorted(fleet.lives.items())]
+        cores = [life.core.coordinators for _, life in sorted(fleet.runs.items())]
         return [bool(core.stopped if hold == "stop" else core.paused) for core in cores]
 
     fleet.run(4.0)

@@ -53,13 +53,13 @@ class EventWatcher:
     traffic: TrafficBytes = field(default_factory=TrafficBytes)
 
     def say(self, message: Control) -> None:
-        life = self.fleet.lives.get(self.host)
+        life = self.fleet.runs.get(self.host)
         if life is not None:
             life.process.loop.enter(lambda: life.host.on_message("", message, self))  # type: ignore[arg-type]
 
     def order(self, message: EmergencyStop | Pause) -> None:
         """Send an order with the present epochs of the host."""
-        self.say(with_epoch(message, self.fleet.lives[self.host].core.orders.epochs))
+        self.say(with_epoch(message, self.fleet.runs[self.host].core.orders.epochs))
 
     def send(self, message: object) -> None:
         """The host's end of the link."""

@@ -253,7 +253,7 @@ def test_a_host_that_ends_reports_it_and_the_rest_of_its_devices(tmp_path: Path)
 
 def test_portal_calls_are_not_reported_without_a_watcher(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, 10.0)
-    core = fleet.lives["alpha"].core
+    core = fleet.runs["alpha"].core
     assert core.machine.hooks.observer is None
     watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(5.0)

@@ -84,7 +84,7 @@ def test_events_lead_to_the_state_of_a_snapshot(
 
 def test_a_request_for_a_snapshot_is_no_subscription(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, 8.0)
-    host = fleet.lives["alpha"].host
+    host = fleet.runs["alpha"].host
     assert asked(fleet).linked
     fleet.run(5.0)
     assert host.core.machine.hooks.observer is None

@@ -69,7 +69,7 @@ def mission(folder: Path, interval: str = "", team: str = TEAM) -> Mission:
 def holder(fleet: Fleet, *others: str) -> str:
     """Run until the coordinator runs on a host that is none of these."""
     for _ in range(2000):
-        for name, life in fleet.lives.items():
+        for name, life in fleet.runs.items():
             agent = life.core.machine.agents.get("walker")
             if name not in others and agent is not None and not agent.frozen:
                 return name
@@ -82,7 +82,7 @@ def test_the_host_that_recovers_a_coordinator_reports_it(tmp_path: Path) -> None
     fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 1)
     fleet.run(20.0)
     lost = holder(fleet)
-    left = {name: watch(fleet, name) for name in fleet.lives if name != lost}
+    left = {name: watch(fleet, name) for name in fleet.runs if name != lost}
     fleet.run(0.2)
     fleet.lose(lost)
     fleet.run(60.0)
@@ -91,7 +91,7 @@ def test_the_host_that_recovers_a_coordinator_reports_it(tmp_path: Path) -> None
     ]
     ((name, recovered),) = found
     assert isinstance(recovered.what, events.CoordinatorRecovered)
-    agent = fleet.lives[name].core.machine.agents.get("walker")
+    agent = fleet.runs[name].core.machine.agents.get("walker")
     later = left[name].of(events.MigrationArrived) + left[name].of(events.MigrationStarted)
     assert recovered.what.agent == "walker"
     assert agent is not None or any(event.number > recovered.number for event in later)
@@ -130,7 +130,7 @@ def test_an_abandoned_device_is_made_safe_with_its_cause(tmp_path: Path) -> None
     fleet = Fleet(replace(made, bindings=replace(made.bindings, devices=bound)), 1)
     fleet.run(12.0)
     gone = holder(fleet)
-    watchers = {name: watch(fleet, name) for name in fleet.lives if name != gone}
+    watchers = {name: watch(fleet, name) for name in fleet.runs if name != gone}
     fleet.run(0.1)
     fleet.lose(gone)
     fleet.run(60.0)

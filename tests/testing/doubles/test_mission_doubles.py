@@ -170,7 +170,7 @@ def test_a_call_that_waits_for_a_double_can_be_cancelled(tmp_path: Path) -> None
     # The late answer is dropped.
     team.run(30.0)
     assert team.call_results("flow") == [None, None, None]
-    assert team.lives.keys() == {"alpha", "bravo"}
+    assert team.runs.keys() == {"alpha", "bravo"}
 
 
 def test_an_answer_too_large_for_its_resource_is_a_limit_exception(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_a_late_answer_is_dropped(tmp_path: Path) -> None:
     assert team.said("late")
     team.run(10.0)
     assert team.call_results("flow") == [None, 2]
-    assert team.lives.keys() == {"alpha", "bravo"}
+    assert team.runs.keys() == {"alpha", "bravo"}
 
 
 def test_a_host_that_dies_loses_the_answer(tmp_path: Path) -> None:

@@ -26,11 +26,11 @@ Link = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 class PlannerDriver(Driver):
     """`process:` starts a planner process and ends it; `tcp:HOST:PORT` connects to a running planner."""
 
-    def __init__(self, *given: Any, command: Sequence[str] = WORKER) -> None:
+    def __init__(self, *arguments: Any, command: Sequence[str] = WORKER) -> None:
         self._command = command
         self._link: Link | None = None
         self._processes: list[asyncio.subprocess.Process] = []
-        super().__init__(*given)
+        super().__init__(*arguments)
 
     def _device(self, binding: DeviceBinding) -> PlannerDevice:
         return PlannerDevice(binding, self.manifests[binding.type], self.clock, self.reports, self.ask)

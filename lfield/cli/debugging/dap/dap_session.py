@@ -137,8 +137,8 @@ class DapSession:
 
     def _follow(self, command: str, arguments: Row) -> None:
         if command in self._moves:
-            found = self._moves[command](self._ready)
-            self._stopped("step", "" if found else "there is no further statement")
+            is_found = self._moves[command](self._ready)
+            self._stopped("step", "" if is_found else "there is no further statement")
         elif command in ("launch", "attach"):
             # Not earlier: breakpoints, which the editor sends next, need the program.
             self._event("initialized")
@@ -150,8 +150,8 @@ class DapSession:
             self._ready.go_to_time(_seconds(arguments))
             self._stopped("goto")
         elif command == "search":
-            found = self._ready.search(self._searched(arguments), backward=bool(arguments.get("backward")))
-            self._stopped("goto", "" if found else "nothing was found")
+            is_found = self._ready.search(self._searched(arguments), backward=bool(arguments.get("backward")))
+            self._stopped("goto", "" if is_found else "nothing was found")
         elif command == "pause":
             self._stopped("pause")
         elif command == "evaluate" and str(arguments.get("expression", "")).startswith(COMMAND):

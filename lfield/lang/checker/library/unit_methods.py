@@ -63,14 +63,14 @@ def _parsed(source: Source) -> list[syntax.Method]:
 
 
 def function_call(
-    body: BodyContext, raw: syntax.Call, place: Span, functions: Sequence[Function], given: list[tree.Expr]
+    body: BodyContext, raw: syntax.Call, place: Span, functions: Sequence[Function], operands: list[tree.Expr]
 ) -> tree.Expr:
     """`square(x)`: the overload that fits."""
     candidates = [
         OverloadCandidate(candidate.head.name, tuple(p.type for p in candidate.head.parameters), candidate)
         for candidate in functions
     ]
-    chosen = choose_overload(body.symbols, place, candidates, given)
+    chosen = choose_overload(body.symbols, place, candidates, operands)
     if chosen is None:
         return unknown(raw.span)
     function, arguments = chosen

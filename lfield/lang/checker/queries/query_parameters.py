@@ -175,15 +175,15 @@ def _joined(span: Span, parts: list[str | tree.Expr]) -> tree.Expr:
     """The sum of some texts, the first of which stays a constant of its own."""
     first, *others = parts
     assert isinstance(first, str)
-    found: tree.Expr = tree.Literal_(span, STRING, first)
+    joined: tree.Expr = tree.Literal_(span, STRING, first)
     pending = ""
     for part in (*others, None):
         if isinstance(part, str):
             pending += part
             continue
         if pending:
-            found = tree.Binary(span, STRING, "+", found, tree.Literal_(span, STRING, pending))
+            joined = tree.Binary(span, STRING, "+", joined, tree.Literal_(span, STRING, pending))
             pending = ""
         if part is not None:
-            found = tree.Binary(span, STRING, "+", found, part)
-    return found
+            joined = tree.Binary(span, STRING, "+", joined, part)
+    return joined

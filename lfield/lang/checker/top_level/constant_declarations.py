@@ -92,12 +92,12 @@ class _Constants:
 
 def _constant_names(raw: syntax.Expr, known: dict[str, syntax.Constant]) -> list[str]:
     """The constants that an expression names."""
-    found: list[str] = []
+    names: list[str] = []
     waiting: list[object] = [raw]
     while waiting:
         match waiting.pop():
             case syntax.Name(name=name) if name in known:
-                found.append(name)
+                names.append(name)
             case syntax.Unary(operand=operand):
                 waiting.append(operand)
             case syntax.Binary(left=left, right=right):
@@ -106,4 +106,4 @@ def _constant_names(raw: syntax.Expr, known: dict[str, syntax.Constant]) -> list
                 waiting.append(owner)
             case syntax.Call(function=function, arguments=arguments):
                 waiting += [function, *arguments]
-    return found
+    return names

@@ -50,7 +50,7 @@ def _left(expr: tree.Expr) -> tree.Expr | None:
     return expr.left if isinstance(expr, tree.Binary | tree.Logical) else None
 
 
-def _value(expr: tree.Expr, known: dict[tree.Expr, Value]) -> Value:
+def _value(expr: tree.Expr, values: dict[tree.Expr, Value]) -> Value:
     """The value of an expression; that of its left operand may be known already."""
     match expr:
         case tree.Literal_(value=bool() | int() | float() | str() as value):
@@ -64,11 +64,11 @@ def _value(expr: tree.Expr, known: dict[tree.Expr, Value]) -> Value:
         case tree.Negate():
             return _number(expr, operator.neg(constant_value(expr.operand)))  # type: ignore[arg-type]
         case tree.Logical():
-            left = known[expr.left]
+            left = values[expr.left]
             right = constant_value(expr.right)
             return bool(left and right) if expr.op == "&&" else bool(left or right)
         case tree.Binary():
-            return _binary(expr, known[expr.left], constant_value(expr.right))
+            return _binary(expr, values[expr.left], constant_value(expr.right))
     raise NotComputable(expr.span)
 
 

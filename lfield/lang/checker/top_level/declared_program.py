@@ -81,7 +81,7 @@ def _function(symbols: Symbols, raw: syntax.Method) -> Function | None:
     result = VOID if raw.result is None else visible_type(symbols, unit, raw.result)
     head = tree.Method(raw.name, "method", unit, [], result, False, False, raw.span, raw.end)
     for parameter in raw.parameters:
-        earlier = next((one for one in head.parameters if one.name == parameter.name), None)
+        earlier = next((other for other in head.parameters if other.name == parameter.name), None)
         if earlier is not None:
             line = earlier.span.line
             symbols.report(messages.DUPLICATE_LOCAL, parameter.span, name=parameter.name, line=line)

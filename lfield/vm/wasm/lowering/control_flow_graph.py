@@ -140,20 +140,22 @@ class ControlFlowGraph:
             self.blocks[pc] = self._block(pc, heads)
 
     def _decoded(self) -> list[LoweredInstruction]:
-        found = []
+        instructions = []
         pc = self.method.entry
         while pc < self.method.end:
             group = self._prepared.groups.get(pc)
             quad = self._quads[pc]
             if group is None:
-                found.append(LoweredInstruction(pc, pc + 1, BY_CODE[quad.op], quad))
+                instructions.append(LoweredInstruction(pc, pc + 1, BY_CODE[quad.op], quad))
             else:
                 row = BY_CODE[group.head.op]
                 result_fetch = group.after - (group.destination >= 0)
                 pushed = tuple(push.a for push in self._quads[pc : result_fetch - 1])
-                found.append(LoweredInstruction(pc, group.after, row, group.head, pushed, group.destination))
-            pc = found[-1].after
-        return found
+                instructions.append(
+                    LoweredInstruction(pc, group.after, row, group.head, pushed, group.destination)
+                )
+            pc = instructions[-1].after
+        return instructions
 
     def _heads(self) -> set[int]:
         """Starts of blocks; records the points after calls and exits."""

@@ -25,23 +25,26 @@ def spline(
 
     A spline that starts or ends at rest has no neighbour there. `straight_on`: the next leg is straight.
     """
-    way = _minus(goal, start)
-    starts = way if before is None else _minus(start, before)
-    ends = way if after is None else _minus(after, goal if straight_on else start)
-    both = math.hypot(*(b + e for b, e in zip(starts, ends, strict=True)))
-    most = LONGEST * math.hypot(*way)
-    share = most / both if both > most else 1.0
-    return [_hermite(start, goal, starts, ends, share, number / POINTS) for number in range(1, POINTS + 1)]
+    straight = _minus(goal, start)
+    start_tangent = straight if before is None else _minus(start, before)
+    end_tangent = straight if after is None else _minus(after, goal if straight_on else start)
+    tangent_sum = math.hypot(*(b + e for b, e in zip(start_tangent, end_tangent, strict=True)))
+    longest = LONGEST * math.hypot(*straight)
+    share = longest / tangent_sum if tangent_sum > longest else 1.0
+    return [
+        _hermite(start, goal, start_tangent, end_tangent, share, number / POINTS)
+        for number in range(1, POINTS + 1)
+    ]
 
 
 def _hermite(
-    start: Vector, goal: Vector, start_tangent: Vector, end_tangent: Vector, share: float, at: float
+    start: Vector, goal: Vector, start_tangent: Vector, end_tangent: Vector, share: float, t: float
 ) -> Vector:
-    square, cube = at * at, at * at * at
+    square, cube = t * t, t * t * t
     weights = (
         2.0 * cube - 3.0 * square + 1.0,
         3.0 * square - 2.0 * cube,
-        share * (cube - 2.0 * square + at),
+        share * (cube - 2.0 * square + t),
         share * (cube - square),
     )
     parts = zip(start, goal, start_tangent, end_tangent, strict=True)
@@ -55,20 +58,20 @@ def arc(start: Vector, goal: Vector, degrees: float) -> Sequence[Vector]:
     chord, half = math.hypot(north, east), math.radians(degrees) / 2.0
     if chord < 1e-3 or not 1e-4 < abs(half) < math.pi:
         return [goal]
-    aside = chord / 2.0 / math.tan(half)
+    offset = chord / 2.0 / math.tan(half)
     centre = (
-        (start[0] + goal[0]) / 2.0 - east / chord * aside,
-        (start[1] + goal[1]) / 2.0 + north / chord * aside,
+        (start[0] + goal[0]) / 2.0 - east / chord * offset,
+        (start[1] + goal[1]) / 2.0 + north / chord * offset,
     )
-    out, count = (start[0] - centre[0], start[1] - centre[1]), max(2, math.ceil(abs(2.0 * half) / STEP))
+    radius, count = (start[0] - centre[0], start[1] - centre[1]), max(2, math.ceil(abs(2.0 * half) / STEP))
     points: list[Vector] = []
     for number in range(1, count + 1):
         turn, share = 2.0 * half * number / count, number / count
         cos, sin = math.cos(turn), math.sin(turn)
         points.append(
             (
-                centre[0] + out[0] * cos - out[1] * sin,
-                centre[1] + out[0] * sin + out[1] * cos,
+                centre[0] + radius[0] * cos - radius[1] * sin,
+                centre[1] + radius[0] * sin + radius[1] * cos,
                 start[2] + share * down,
             )
         )

@@ -54,29 +54,27 @@ class Estimator:
     compass_ill: float = 0.0
     _glitched: float = 0.0
     _cleared: float = 0.0
-    _sees: float = 0.0
+    _gnss_time: float = 0.0
 
     def step(
-        self, dt: float, *, gps_lost: bool, glitch: float, compass_failed: bool, talks: bool
+        self, dt: float, *, gps_lost: bool, glitch: float, compass_failed: bool, reports_glitches: bool
     ) -> list[str]:
-        """Advances time by `dt` seconds; returns the texts that are due. `talks`: an ArduCopter reports
-        glitches.
-        """
+        """Advances time by `dt` seconds; returns the texts that are due."""
         self.compass_ill = self.compass_ill + dt if compass_failed else 0.0
-        texts = self._see(dt, gps_lost=gps_lost)
-        return texts + (self._glitch(dt, glitch) if talks else [])
+        texts = self._update_position(dt, gps_lost=gps_lost)
+        return texts + (self._glitch(dt, glitch) if reports_glitches else [])
 
-    def _see(self, dt: float, *, gps_lost: bool) -> list[str]:
+    def _update_position(self, dt: float, *, gps_lost: bool) -> list[str]:
         if gps_lost:
-            self.blind, self._sees = self.blind + dt, 0.0
+            self.blind, self._gnss_time = self.blind + dt, 0.0
             self.is_lost = self.is_lost or self.blind > self.rule.lasts
             self.drift = (0.0, self.rule.drift, 0.0) if self.is_lost else ZERO
             north, east, down = (o + d * dt for o, d in zip(self.offset, self.drift, strict=True))
             self.offset = (north, east, down)
             return []
-        self.blind, self._sees = 0.0, self._sees + dt
+        self.blind, self._gnss_time = 0.0, self._gnss_time + dt
         self.offset = self.drift = ZERO
-        if self.is_lost and self._sees >= self.rule.regains:
+        if self.is_lost and self._gnss_time >= self.rule.regains:
             self.is_lost = False
             return [self.rule.regained] if self.rule.regained else []
         return []

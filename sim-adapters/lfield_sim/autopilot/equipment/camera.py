@@ -30,7 +30,7 @@ class CameraModel:
     interval: float = 0.0
     recording_since: float | None = None
     shot: deque[bool] = field(default_factory=lambda: deque(maxlen=100))
-    _left: float = 0
+    _remaining: float = 0
     _due: float = 0.0
     _sequence: int = 0
     _now: float = 0.0
@@ -48,7 +48,7 @@ class CameraModel:
     @property
     def is_shooting(self) -> bool:
         """Whether a picture or a series is being taken."""
-        return self._left > 0
+        return self._remaining > 0
 
     def shoot(self, now: float, interval: float = 0.0, count: int = 1, sequence: int = 0) -> MavResult:
         """Starts a picture, or a series of `count` pictures (0: until stopped).
@@ -63,13 +63,13 @@ class CameraModel:
             return MavResult.TEMPORARILY_REJECTED
         if self.is_full:
             return MavResult.FAILED
-        self._left, self._due = count or float("inf"), now + EXPOSURE
+        self._remaining, self._due = count or float("inf"), now + EXPOSURE
         self.interval, self._sequence = (interval if count != 1 else 0.0), sequence
         return MavResult.ACCEPTED
 
     def stop_shooting(self) -> MavResult:
         """Ends a series."""
-        self._left, self.interval = 0, 0.0
+        self._remaining, self.interval = 0, 0.0
         return MavResult.ACCEPTED
 
     def record(self, now: float) -> MavResult:
@@ -112,7 +112,7 @@ class CameraModel:
         self.used += IMAGE_SIZE * is_stored
         self.pictures += 1
         self.shot.append(is_stored)
-        self._left = self._left - 1 if not self.is_full else 0
+        self._remaining = self._remaining - 1 if not self.is_full else 0
         self._due += self.interval
-        if not self._left:
+        if not self._remaining:
             self.interval = 0.0

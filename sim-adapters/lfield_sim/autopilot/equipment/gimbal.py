@@ -66,14 +66,14 @@ class GimbalModel:
         self.secondary = _holder(self.secondary, source, secondary)
         return MavResult.ACCEPTED
 
-    def step(self, dt: float, here: Vector, heading: float) -> None:
+    def step(self, dt: float, place: Vector, heading: float) -> None:
         """Advances time by `dt` seconds, on a vehicle at a place with a heading."""
         pitch_rate, yaw_rate = self.rates
         self.pitch_goal += pitch_rate * dt
         self.yaw_goal += yaw_rate * dt
         pitch, yaw = self.pitch_goal, self.yaw_goal
         if self.target is not None:
-            north, east, down = (there - mine for there, mine in zip(self.target, here, strict=True))
+            north, east, down = (goal - own for goal, own in zip(self.target, place, strict=True))
             pitch, yaw = math.atan2(-down, math.hypot(north, east)), math.atan2(east, north)
         if self.is_locked or self.target is not None:
             yaw = math.remainder(yaw - heading, math.tau)

@@ -86,12 +86,12 @@ class Payload:
         """Pays out (positive) or in at a speed, to the end of the line; 0 stops."""
         self.wind_to(self.line if speed == 0.0 else math.copysign(LINE, speed), speed)
 
-    def step(self, dt: float, now: float, here: Vector, heading: float) -> None:
+    def step(self, dt: float, now: float, place: Vector, heading: float) -> None:
         """Advances time by `dt` seconds to `now`, on a vehicle at a place with a heading."""
         self.line = towards(self.line, self.line_goal, self.line_speed * dt)
-        self.gimbal.step(dt, here, heading)
+        self.gimbal.step(dt, place, heading)
         self.camera.step(now)
 
     def restarted(self) -> Payload:
-        """The payload after a restart of the autopilot: the camera is a computer of its own."""
+        """The payload after a restart of the autopilot: the camera is a separate computer."""
         return Payload(self.fitted, camera=self.camera)

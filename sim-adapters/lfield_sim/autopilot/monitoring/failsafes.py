@@ -38,8 +38,8 @@ class Failsafes:
         self.gcs_lost = False
         self._is_reported_only = False
         self._is_gcs_back = False
-        self._later: tuple[float, Role] | None = None
-        self._low: set[str] = set()
+        self._pending_action: tuple[float, Role] | None = None
+        self._reported_levels: set[str] = set()
         #: Whether the battery failsafe has acted: it does so once, and an ArduPilot cannot be armed
         #: afterwards.
         self.battery_acted = False
@@ -66,11 +66,11 @@ class Failsafes:
     def station_lost(self) -> bool:
         """Whether the ground station was missing at the last check; PX4 updates it at once."""
         missed = self.gcs_lost and not self._is_reported_only
-        return missed and (not self._is_gcs_back or self._rules.gcs.every > 0.0)
+        return missed and (not self._is_gcs_back or self._rules.gcs.check_period > 0.0)
 
     def commanded(self) -> None:
         """Drops pending actions because of another command."""
-        self._later = None
+        self._pending_action = None
         self.fences.commanded()
         if self._rules.needs_stream and not self.gcs_lost:
             self._pilot.critical = False
@@ -85,8 +85,8 @@ class Failsafes:
         self._check_setpoints()
         self._check_battery()
         self._check_position()
-        if self._later is not None and self._pilot.now >= self._later[0]:
-            (_, role), self._later = self._later, None
+        if self._pending_action is not None and self._pilot.now >= self._pending_action[0]:
+            (_, role), self._pending_action = self._pending_action, None
             self._pilot.say(FAILSAFE)
             self._pilot.fall_back(role)
 
@@ -94,18 +94,18 @@ class Failsafes:
 
     def _is_check_due(self, dt: float) -> bool:
         """Whether the station check is due: ArduPilot checks in a slow loop."""
-        every, since = self._rules.gcs.every, self._pilot.uptime - FIRST_CHECK
-        return not every or since % every < dt
+        period, elapsed = self._rules.gcs.check_period, self._pilot.uptime - FIRST_CHECK
+        return not period or elapsed % period < dt
 
     def _check_gcs(self) -> None:
         self._clear_gcs()
         pilot, rule = self._pilot, self._rules.gcs
         action = int(pilot.value(rule.action))
-        off = rule.enable and not pilot.value(rule.enable)
-        if self.gcs_contact_at is None or self.gcs_lost or off or not (action or rule.lost_text):
+        is_disabled = rule.enable and not pilot.value(rule.enable)
+        if self.gcs_contact_at is None or self.gcs_lost or is_disabled or not (action or rule.lost_text):
             return
-        late = pilot.value(rule.late) if isinstance(rule.late, str) else rule.late
-        if pilot.now - self.gcs_contact_at <= pilot.value(rule.timeout) + late:
+        delay = pilot.value(rule.late) if isinstance(rule.late, str) else rule.late
+        if pilot.now - self.gcs_contact_at <= pilot.value(rule.timeout) + delay:
             return
         if rule.stands and pilot.role in (Role.HOLD, Role.RETURN):
             return
@@ -129,7 +129,7 @@ class Failsafes:
         # PX4's action remains a failsafe until another mode is commanded.
         pilot.critical = pilot.critical and bool(rule.pause) and pilot.mode != pilot.intended
         self.gcs_lost = False
-        self._is_gcs_back, self._later = False, None
+        self._is_gcs_back, self._pending_action = False, None
         pilot.say(rule.cleared)
 
     def _lose_gcs(self, role: Role | None) -> None:
@@ -137,11 +137,11 @@ class Failsafes:
         pilot.critical = True
         pause = pilot.value(rule.pause) if rule.pause and role is not Role.HOLD else 0.0
         lands_on = self._lands_on()
-        held = rule.hold_text.format(pause=pause) if pause else rule.text
+        hold_text = rule.hold_text.format(pause=pause) if pause else rule.text
         if not lands_on and pilot.role in BY_A_PILOT and self._has_option(CONTINUE_PILOT):
             pilot.say(CONTINUES)
             return
-        pilot.say(rule.goes_on if lands_on else held)
+        pilot.say(rule.goes_on if lands_on else hold_text)
         if role is not None and not lands_on:
             self._act_after(pause, role)
 
@@ -163,7 +163,7 @@ class Failsafes:
         """Takes a role, after a hold of so many seconds if there is one."""
         if pause > 0.0:
             self._pilot.fall_back(Role.HOLD)
-            self._later = (self._pilot.now + pause, role)
+            self._pending_action = (self._pilot.now + pause, role)
         else:
             self._pilot.fall_back(role, pause=LANDING_PAUSE)
 
@@ -207,7 +207,10 @@ class Failsafes:
         """Whether setpoints are expected; also while a failsafe of PX4 holds the vehicle instead."""
         pilot = self._pilot
         holds = (
-            self._rules.needs_stream and pilot.critical and pilot.role is Role.HOLD and self._later is None
+            self._rules.needs_stream
+            and pilot.critical
+            and pilot.role is Role.HOLD
+            and self._pending_action is None
         )
         return pilot.role is Role.GUIDED or (holds and pilot.kind.modes[pilot.intended].role is Role.GUIDED)
 
@@ -216,8 +219,12 @@ class Failsafes:
     def _check_battery(self) -> None:
         pilot = self._pilot
         for level in self._rules.battery:
-            if level.text not in self._low and pilot.armed and pilot.battery.charge < self._share(level):
-                self._low.add(level.text)
+            if (
+                level.text not in self._reported_levels
+                and pilot.armed
+                and pilot.battery.charge < self._share(level)
+            ):
+                self._reported_levels.add(level.text)
                 text = level.text.format(volts=pilot.battery.volts, used=pilot.battery.used)
                 pilot.say(text)
                 self._act(level.actions.get(int(pilot.value(level.action))))

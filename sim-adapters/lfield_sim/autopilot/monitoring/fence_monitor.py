@@ -27,17 +27,17 @@ class FenceMonitor:
         self._rule = pilot.flavour.fence
         self._since: float | None = None
         self._acts_at: float | None = None
-        self._says_at: float | None = None
+        self._repeat_at: float | None = None
         self.breach = NO_BREACH
         self.breaches = 0
         self.breached_at = 0.0
 
     def accepts(self, place: Vector) -> bool:
         """Whether the autopilot accepts a goal; PX4 sends a text when it does not."""
-        beyond = self._pilot.fence_at(place)[0] != NO_BREACH
-        if beyond and self._rule.outside_text:
+        is_outside = self._pilot.fence_at(place)[0] != NO_BREACH
+        if is_outside and self._rule.outside_text:
             self._pilot.say(self._rule.outside_text)
-        return not (beyond and self._rule.refuses)
+        return not (is_outside and self._rule.refuses)
 
     def commanded(self) -> None:
         """Sends a text about a command that was given outside the fence."""
@@ -46,7 +46,7 @@ class FenceMonitor:
 
     def check(self) -> Role | None:
         """Checks once; returns the role for a breach that is due now."""
-        self._corral()
+        self._limit_velocity()
         pilot = self._pilot
         breach, text = pilot.fence_at(pilot.vehicle.place) if pilot.armed else (NO_BREACH, "")
         if not breach:
@@ -59,11 +59,11 @@ class FenceMonitor:
         if breach != self.breach and pilot.now - self._since >= NOTICED:
             self._on_breach(breach)
         if self._acts_at is None or pilot.now < self._acts_at:
-            self._say_again(text)
+            self._repeat_text(text)
             return None
         self._acts_at = None
         role = self._rule.actions.get(int(pilot.value(self._rule.action)))
-        self._say(text, again=bool(self._rule.hold_text) and role is not Role.HOLD)
+        self._say(text, repeats=bool(self._rule.hold_text) and role is not Role.HOLD)
         if self._rule.recovery_text:
             pilot.say(self._rule.recovery_text)
         return role
@@ -73,26 +73,26 @@ class FenceMonitor:
         self.breaches = min(self.breaches + 1, 0xFFFF)
         self._acts_at = self._pilot.now + ACTED
 
-    def _say_again(self, text: str) -> None:
+    def _repeat_text(self, text: str) -> None:
         """Repeats PX4's text."""
-        if self._says_at is not None and self._pilot.now >= self._says_at:
-            self._says_at = None
+        if self._repeat_at is not None and self._pilot.now >= self._repeat_at:
+            self._repeat_at = None
             self._pilot.say(text)
 
-    def _say(self, text: str, *, again: bool) -> None:
-        self._says_at = self._pilot.now + AGAIN if again else None
+    def _say(self, text: str, *, repeats: bool) -> None:
+        self._repeat_at = self._pilot.now + AGAIN if repeats else None
         if text:
             self._pilot.say(text)
 
-    def _corral(self) -> None:
+    def _limit_velocity(self) -> None:
         """Keeps the vehicle inside the circle if avoidance is active."""
         pilot, rule = self._pilot, self._rule
         radius = pilot.value(rule.radius) if pilot.value(rule.enable) else 0.0
         # A copter ignores a goal beyond, but follows a velocity there; a rover follows both.
-        led = not (pilot.flies and isinstance(pilot.vehicle.goal, Reach))
+        may_leave = not (pilot.flies and isinstance(pilot.vehicle.goal, Reach))
         avoids = bool(rule.avoid) and pilot.value(rule.avoid) > 0.0 and radius > 0.0
-        if not (avoids and led and pilot.role is Role.GUIDED):
-            pilot.vehicle.corral = None
+        if not (avoids and may_leave and pilot.role is Role.GUIDED):
+            pilot.vehicle.velocity_fence = None
             return
-        inside = max(0.0, radius - pilot.value(rule.margin))
-        pilot.vehicle.corral = VelocityFence(pilot.home[0], pilot.home[1], inside)
+        max_radius = max(0.0, radius - pilot.value(rule.margin))
+        pilot.vehicle.velocity_fence = VelocityFence(pilot.home[0], pilot.home[1], max_radius)

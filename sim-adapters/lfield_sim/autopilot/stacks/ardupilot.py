@@ -22,7 +22,7 @@ from lfield_sim.autopilot.flavours import (
     VehicleKind,
 )
 from lfield_sim.autopilot.ground_vehicle import Wheels
-from lfield_sim.autopilot.pace import CopterPace, RoverPace
+from lfield_sim.autopilot.speed_control import CopterSpeedControl, RoverSpeedControl
 from lfield_sim.autopilot.vehicle import Limits, Response
 
 _BATTERY_ACTIONS = {1: Role.LAND, 2: Role.RETURN, 3: Role.RETURN, 4: Role.RETURN, 5: Role.TERMINATE}
@@ -61,7 +61,7 @@ COPTER_FLAVOUR = Flavour(
         goes_on="GCS Failsafe - Continuing Landing",
         forbids=True,
         refusal="GCS failsafe on",
-        every=0.3325,
+        check_period=0.3325,
     ),
     battery=(
         BatteryLevel(
@@ -127,7 +127,7 @@ ROVER_FLAVOUR = replace(
         COPTER_FLAVOUR.gcs,
         text="Radio Failsafe",
         late="FS_TIMEOUT",
-        every=0.1,
+        check_period=0.1,
         forbids=False,
         stands=True,
         enable="FS_GCS_ENABLE",
@@ -147,9 +147,9 @@ ROVER_FLAVOUR = replace(
 )
 
 
-def _both(what: str) -> tuple[str, ...]:
+def _both(text: str) -> tuple[str, ...]:
     """The texts of both estimators."""
-    return tuple(f"EKF3 IMU{number} {what}" for number in range(2))
+    return tuple(f"EKF3 IMU{number} {text}" for number in range(2))
 
 
 _ALIGNED = (
@@ -283,7 +283,7 @@ ACKERMANN = VehicleKind(
     "MANUAL",
     ROVER_PARAMETERS,
     {"cruise": ("WP_SPEED", 1.0), "acceleration": ("ATC_ACCEL_MAX", 1.0)},
-    RoverPace,
+    RoverSpeedControl,
     ROVER_WARMING,
     # A rover overshoots its speed: 2.20 of 2 and 3.44 of 3 m/s, for a second or two (ap-rover.deaths-34).
     Limits(braking=1.0, jerk=2.0, overshoot=0.43, overshoot_share=0.05, rolls_out=0.5),
@@ -322,7 +322,7 @@ KINDS = {
             "vertical_acceleration": ("WPNAV_ACCEL_Z", 100.0),
             "tilt": ("ANGLE_MAX", CENTIDEGREES),
         },
-        CopterPace,
+        CopterSpeedControl,
         COPTER_WARMING,
         # A copter flies 3.06 of 3 m/s in still air (ap-copter.c-speed).
         Limits(

@@ -22,7 +22,7 @@ from lfield_sim.autopilot.flavours import (
     VehicleKind,
 )
 from lfield_sim.autopilot.ground_vehicle import Wheels
-from lfield_sim.autopilot.pace import Px4Pace
+from lfield_sim.autopilot.speed_control import Px4SpeedControl
 from lfield_sim.autopilot.vehicle import Limits, Response
 
 _WARN, _LAND, _RETURN = 0, 2, 3
@@ -218,7 +218,7 @@ KINDS = {
             "top": ("MPC_XY_VEL_MAX", 1.0),
             "tilt": ("MPC_TILTMAX_AIR", math.degrees(1.0)),
         },
-        Px4Pace,
+        Px4SpeedControl,
         WARMING,
         # Of 1 m/s it flies 0.77 after 2 s (px4-copter.d-velocity), of 3 m/s 2.1 after 3 s, 2.6 after 8, 2.86
         # after 14 (px4-copter.deaths-6) and 2.95 over 200 m (facts-3, 16).
@@ -246,7 +246,7 @@ KINDS = {
         "AUTO.LOITER",
         ROVER_PARAMETERS,
         {"cruise": ("RO_SPEED_LIM", 1.0), "acceleration": ("RO_ACCEL_LIM", 1.0)},
-        Px4Pace,
+        Px4SpeedControl,
         WARMING,
         # The rover drives 0.5 m/s faster than commanded. It turns back to a position behind it at once, in a
         # circle of 1.9 m, and brakes from 2.6 m before one (trace l-px4-rover: 33, 42 and 19 s).

@@ -18,17 +18,17 @@ MAX_WAITING = 64
 class BusHub:
     """The bus world on the loop's clock; wakes when the bus or a model is due.
 
-    `moved` is called whenever a device may have changed.
+    `on_change` is called whenever a device may have changed.
     """
 
     def __init__(
-        self, devices: Sequence[BusDevice], faults: Faults, bitrate: int, moved: Callable[[], None]
+        self, devices: Sequence[BusDevice], faults: Faults, bitrate: int, on_change: Callable[[], None]
     ) -> None:
-        self._loop, self._moved = asyncio.get_running_loop(), moved
-        self._day = time.time() - self._loop.time()
+        self._loop, self._on_change = asyncio.get_running_loop(), on_change
+        self._epoch_offset = time.time() - self._loop.time()
         self._faults = faults
         self._world = BusWorld(devices, faults, bitrate=bitrate, start=self._loop.time())
-        self._going_on: list[Callable[[], None]] = []
+        self._callbacks: list[Callable[[], None]] = []
         self._timer = self._loop.call_soon(self._run)
 
     def join(self, port: BusPort) -> None:
@@ -44,13 +44,13 @@ class BusHub:
         self._world.bus.send(port, frame, self._loop.time())
         self._wake()
 
-    def when_sent(self, go_on: Callable[[], None]) -> None:
-        """Calls `go_on` once after the bus has advanced."""
-        self._going_on.append(go_on)
+    def when_sent(self, callback: Callable[[], None]) -> None:
+        """Calls `callback` once after the bus has advanced."""
+        self._callbacks.append(callback)
 
     def seconds(self, time: float) -> float:
         """Converts a bus time to a time of day."""
-        return self._day + time
+        return self._epoch_offset + time
 
     def is_off(self, port: BusPort) -> bool:
         """Whether a port is bus-off."""
@@ -62,10 +62,10 @@ class BusHub:
 
     def _run(self) -> None:
         self._world.advance(self._loop.time())
-        self._moved()
-        waiting, self._going_on = self._going_on, []
-        for go_on in waiting:
-            go_on()
+        self._on_change()
+        callbacks, self._callbacks = self._callbacks, []
+        for callback in callbacks:
+            callback()
         self._wake()
 
     def _wake(self) -> None:

@@ -52,13 +52,13 @@ class SlcanProtocol:
 
     def command(self, text: bytes) -> tuple[bytes, CanFrame | None]:
         """Executes a command (without its end): the answer and the frame to send."""
-        letter, rest = chr(text[0]) if text else "", text[1:]
+        letter, argument = chr(text[0]) if text else "", text[1:]
         if not letter:
             return b"", None
         if letter in _LETTERS:
-            return self._transmit(letter, rest)
+            return self._transmit(letter, argument)
         setting = self._settings.get(letter)
-        return (setting(self, rest) if setting else BAD), None
+        return (setting(self, argument) if setting else BAD), None
 
     @staticmethod
     def encode(frame: CanFrame) -> bytes:
@@ -70,54 +70,54 @@ class SlcanProtocol:
         code = frame.dlc if frame.remote else FD_LENGTHS.index(len(frame.data))
         return f"{letter}{frame.identifier:0{digits}X}{code:X}{frame.data.hex().upper()}\r".encode()
 
-    def _transmit(self, letter: str, rest: bytes) -> tuple[bytes, CanFrame | None]:
-        frame = _parse(letter, rest)
+    def _transmit(self, letter: str, argument: bytes) -> tuple[bytes, CanFrame | None]:
+        frame = _parse(letter, argument)
         if frame is None or not self.opened or self._listening:
             return BAD, None
         return (b"Z\r" if frame.extended else b"z\r"), frame
 
-    def _open(self, rest: bytes) -> bytes:
-        return self._start(rest, listening=False)
+    def _open(self, argument: bytes) -> bytes:
+        return self._start(argument, listening=False)
 
-    def _listen(self, rest: bytes) -> bytes:
-        return self._start(rest, listening=True)
+    def _listen(self, argument: bytes) -> bytes:
+        return self._start(argument, listening=True)
 
-    def _start(self, rest: bytes, *, listening: bool) -> bytes:
-        if rest or self.opened:
+    def _start(self, argument: bytes, *, listening: bool) -> bytes:
+        if argument or self.opened:
             return BAD
         self.opened, self._listening = True, listening
         return OK
 
-    def _close(self, rest: bytes) -> bytes:
-        if rest or not self.opened:
+    def _close(self, argument: bytes) -> bytes:
+        if argument or not self.opened:
             return BAD
         self.opened = False
         return OK
 
-    def _set_bitrate(self, rest: bytes) -> bytes:
-        if self.opened or len(rest) != 1 or not rest.isdigit():
+    def _set_bitrate(self, argument: bytes) -> bytes:
+        if self.opened or len(argument) != 1 or not argument.isdigit():
             return BAD
-        self.bitrate = BITRATES[int(rest)]
+        self.bitrate = BITRATES[int(argument)]
         return OK
 
-    def _set_registers(self, rest: bytes) -> bytes:
-        return BAD if self.opened or len(rest) != 4 or not _HEX.issuperset(rest) else OK
+    def _set_registers(self, argument: bytes) -> bytes:
+        return BAD if self.opened or len(argument) != 4 or not _HEX.issuperset(argument) else OK
 
-    def _set_data_bitrate(self, rest: bytes) -> bytes:
-        return BAD if self.opened or rest not in DATA_BITRATES else OK
+    def _set_data_bitrate(self, argument: bytes) -> bytes:
+        return BAD if self.opened or argument not in DATA_BITRATES else OK
 
-    def _set_filter(self, rest: bytes) -> bytes:
-        return BAD if self.opened or len(rest) != 8 or not _HEX.issuperset(rest) else OK
+    def _set_filter(self, argument: bytes) -> bytes:
+        return BAD if self.opened or len(argument) != 8 or not _HEX.issuperset(argument) else OK
 
-    def _version(self, rest: bytes) -> bytes:
-        return BAD if rest else b"V1013\r"
+    def _version(self, argument: bytes) -> bytes:
+        return BAD if argument else b"V1013\r"
 
-    def _serial(self, rest: bytes) -> bytes:
-        return BAD if rest else b"NF4K3\r"
+    def _serial(self, argument: bytes) -> bytes:
+        return BAD if argument else b"NF4K3\r"
 
-    def _flags(self, rest: bytes) -> bytes:
+    def _flags(self, argument: bytes) -> bytes:
         """LAWICEL's status byte: bit 2 error warning, bit 5 error passive, bit 7 bus error."""
-        if rest or not self.opened:
+        if argument or not self.opened:
             return BAD
         count = self._errors()
         flags = 0x04 * (count >= WARNING) | 0x20 * (count >= PASSIVE) | 0x80 * (count >= BUS_OFF)
@@ -152,16 +152,16 @@ def next_command(buffer: bytearray) -> bytes | None:
             return command
 
 
-def _parse(letter: str, rest: bytes) -> CanFrame | None:
+def _parse(letter: str, argument: bytes) -> CanFrame | None:
     """The frame of a send command, or None."""
     extended, remote, fd, switch = _LETTERS[letter]
     digits = 8 if extended else 3
-    if len(rest) <= digits or not _HEX.issuperset(rest):
+    if len(argument) <= digits or not _HEX.issuperset(argument):
         return None
-    identifier, code = int(rest[:digits], 16), int(rest[digits : digits + 1], 16)
+    identifier, code = int(argument[:digits], 16), int(argument[digits : digits + 1], 16)
     if identifier > (EXTENDED_MASK if extended else STANDARD_MASK) or (code > 8 and not fd):
         return None
-    data = rest[digits + 1 :]
+    data = argument[digits + 1 :]
     if len(data) != (0 if remote else 2 * FD_LENGTHS[code]):
         return None
     payload = bytes.fromhex(data.decode())

@@ -32,8 +32,8 @@ class SocketcandAdapter:
             self._listener = await asyncio.get_running_loop().create_server(self._client, host, port)
         except OSError as error:
             raise AddressError(f"socketcand:{host}:{port}", error.strerror or str(error)) from None
-        place, number = self._listener.sockets[0].getsockname()[:2]
-        self._address = f"{place}:{number}"
+        bound_host, bound_port = self._listener.sockets[0].getsockname()[:2]
+        self._address = f"{bound_host}:{bound_port}"
 
     @property
     def endpoint(self) -> str:
@@ -78,7 +78,7 @@ class SocketcandClient(asyncio.Protocol):
         self._hub, self._adapter, self._protocol = hub, adapter, SocketcandProtocol(CHANNEL)
         self._buffer = bytearray()
         self._port = BusPort(self._on_frame)
-        self._held: bytearray | None = None
+        self._held_frames: bytearray | None = None
         self._closed = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -117,7 +117,7 @@ class SocketcandClient(asyncio.Protocol):
         if answer:
             self._transport.write(answer)
         if self._protocol.raw and not was_raw:
-            self._held = bytearray()
+            self._held_frames = bytearray()
             self._hub.join(self._port)
             asyncio.get_running_loop().call_later(HOLD, self._release)
         if frame:
@@ -126,14 +126,14 @@ class SocketcandClient(asyncio.Protocol):
 
     def _release(self) -> None:
         """Sends held-back frames."""
-        held, self._held = self._held, None
-        if held and not self._closed:
-            self._transport.write(held)
+        frames, self._held_frames = self._held_frames, None
+        if frames and not self._closed:
+            self._transport.write(frames)
 
     def _on_frame(self, frame: CanFrame, time: float) -> None:
         text = self._protocol.encode(frame, self._hub.seconds(time))
-        if self._held is not None:
-            self._held += text
+        if self._held_frames is not None:
+            self._held_frames += text
         elif self._transport.get_write_buffer_size() > MAX_UNREAD:
             self._transport.abort()
         elif not self._transport.is_closing():

@@ -65,10 +65,10 @@ class Rpdo(Pdo):
         """Sets the objects; synchronous PDOs wait for SYNC."""
         if self._waiting is None:
             return
-        writes, at = {}, 0
+        writes, offset = {}, 0
         for key, length in self.keys():
-            writes[key] = self._waiting[at : at + length]
-            at += length
+            writes[key] = self._waiting[offset : offset + length]
+            offset += length
         self._waiting = None
         self._objects.write_all(writes)
 

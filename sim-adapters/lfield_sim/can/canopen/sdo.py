@@ -110,14 +110,14 @@ class ObjectDictionary:
 
     def write_all(self, writes: Mapping[Key, bytes]) -> None:
         """Sets the values of a PDO before any callback; refused ones are skipped."""
-        done: dict[Key, int] = {}
+        accepted: dict[Key, int] = {}
         for key, data in writes.items():
             try:
-                done[key] = self.check(key, data)
+                accepted[key] = self.check(key, data)
             except SdoAbort:
                 continue
-        self._values.update(done)
-        for key, value in done.items():
+        self._values.update(accepted)
+        for key, value in accepted.items():
             for watcher in self._watchers:
                 watcher(key, value)
 
@@ -184,7 +184,7 @@ class SdoServer:
         if kind == 0:
             return self._on_segment(request)
         if kind == 3:
-            return self._give_segment(request)
+            return self._next_segment(request)
         index, subindex = struct.unpack_from("<HB", request, 1)
         self._key = (index, subindex)
         self._upload = self._download = None
@@ -202,14 +202,14 @@ class SdoServer:
         self._upload = data
         return b"\x41" + head + struct.pack("<L", len(data))
 
-    def _give_segment(self, request: bytes) -> bytes:
+    def _next_segment(self, request: bytes) -> bytes:
         if self._upload is None:
             raise SdoAbort(COMMAND)
         self._check_toggle(request)
-        piece, rest = self._upload[:7], self._upload[7:]
-        head = (request[0] & 0x10) | (7 - len(piece)) << 1 | (not rest)
-        self._upload = rest or None
-        return bytes([head]) + piece
+        segment, remaining = self._upload[:7], self._upload[7:]
+        head = (request[0] & 0x10) | (7 - len(segment)) << 1 | (not remaining)
+        self._upload = remaining or None
+        return bytes([head]) + segment
 
     def _start_download(self, request: bytes) -> bytes:
         expedited, sized = request[0] & 2, request[0] & 1

@@ -62,14 +62,14 @@ class Cia402Axis:
         self._report(code, _GENERIC | bit)
 
     def lose_connection(self, code: int, register: int) -> None:
-        """Acts on the loss of the master as 0x6007 says."""
+        """Handles the loss of the master by the option in 0x6007."""
         option = self.objects.get(0x6007)
         if option == 1:
             self.fail((code, register))
             return
         self._report(code, _GENERIC | register)
-        asked = {2: DriveCommand.DISABLE_VOLTAGE, 3: DriveCommand.QUICK_STOP}.get(option)
-        if asked and (goal := TRANSITIONS.get((self.state, asked))):
+        command = {2: DriveCommand.DISABLE_VOLTAGE, 3: DriveCommand.QUICK_STOP}.get(option)
+        if command and (goal := TRANSITIONS.get((self.state, command))):
             self._enter(goal)
 
     def regain_connection(self) -> None:
@@ -91,13 +91,13 @@ class Cia402Axis:
         elif self.state in POWERED:
             self._stop(dt)
         else:
-            self.drive.rest(dt)
-        self._show()
+            self.drive.step_unpowered(dt)
+        self._publish()
 
     def _written(self, key: tuple[int, int], value: int) -> None:
         if key == (0x6040, 0):
             self._control(value)
-            self._show()
+            self._publish()
         elif key == (0x6060, 0) and self.state is DriveState.OPERATION_ENABLED:
             self._choose_mode()
 
@@ -109,11 +109,11 @@ class Cia402Axis:
             self._report(0, 0)
             self._enter(DriveState.SWITCH_ON_DISABLED)
             return
-        asked = command_of(controlword)
-        goal = TRANSITIONS.get((self.state, asked)) if asked else None
-        if self.state is DriveState.QUICK_STOP_ACTIVE and asked is DriveCommand.ENABLE_OPERATION:
+        command = command_of(controlword)
+        goal = TRANSITIONS.get((self.state, command)) if command else None
+        if self.state is DriveState.QUICK_STOP_ACTIVE and command is DriveCommand.ENABLE_OPERATION:
             goal = goal if self.objects.get(0x605A) >= 5 else None
-        if self._leaving and asked is DriveCommand.ENABLE_OPERATION:
+        if self._leaving and command is DriveCommand.ENABLE_OPERATION:
             goal = DriveState.OPERATION_ENABLED
         if goal:
             self._go(goal)
@@ -150,7 +150,7 @@ class Cia402Axis:
         if option:
             self.drive.stop(dt, option)
         else:
-            self.drive.rest(dt)
+            self.drive.step_unpowered(dt)
         if option and (self.drive.profile.velocity != 0.0 or abs(self.motor.speed) >= STILL):
             return
         if self.state is DriveState.FAULT_REACTION_ACTIVE:
@@ -160,7 +160,7 @@ class Cia402Axis:
         elif option < 5:
             self._enter(DriveState.SWITCH_ON_DISABLED)
 
-    def _show(self) -> None:
+    def _publish(self) -> None:
         """Writes the axis's state into its objects."""
         objects, drive, rated = self.objects, self.drive, self.motor.data.rated_torque
         bits = self.state.value | _REMOTE | _VOLTAGE | (_WARNING if self.motor.temperature > HOT else 0)

@@ -95,8 +95,8 @@ class Cia402Drive:
         """Drives the motor to the reference position, and monitors the following error."""
         error = self.profile.position - self.position
         self.motor.track((self.profile.velocity + GAIN * error) / self.scale, dt, self.strongest)
-        behind = abs(error) > self.objects.get(0x6065)
-        self._off_track = self._off_track + dt if behind else 0.0
+        is_behind = abs(error) > self.objects.get(0x6065)
+        self._off_track = self._off_track + dt if is_behind else 0.0
         if self._off_track > self.objects.get(0x6066) / 1000.0:
             self._fail(FOLLOWING)
 
@@ -115,7 +115,7 @@ class Cia402Drive:
         self.ramp(0.0, dt, acceleration=deceleration, deceleration=deceleration)
 
     def stop(self, dt: float, option: int) -> None:
-        """Brakes as an option code says (0x605A, 0x605D, 0x605E), except 0.
+        """Brakes by an option code (0x605A, 0x605D, 0x605E) other than 0.
 
         1 and 5 are the slow down ramp, 2 and 6 the quick stop ramp; others use maximum torque.
         """
@@ -123,12 +123,12 @@ class Cia402Drive:
         self.brake(dt, deceleration=self.objects.get(ramps[option]) if option in ramps else math.inf)
 
     def halt(self, dt: float) -> None:
-        """Brakes as the halt option code says, and stays in operation."""
+        """Brakes by the halt option code, and stays in operation."""
         self.stop(dt, self.objects.get(0x605D))
 
-    def rest(self, dt: float) -> None:
+    def step_unpowered(self, dt: float) -> None:
         """Removes the power: the reference follows the motor."""
-        self.motor.rest(dt)
+        self.motor.step_unpowered(dt)
         self.profile = Trajectory(self.position)
 
     def take_over(self) -> None:

@@ -40,13 +40,13 @@ class _Settled:
     """Whether a value has been within a window for a time."""
 
     def __init__(self) -> None:
-        self._for = 0.0
+        self._duration = 0.0
 
-    def step(self, near: bool, dt: float) -> None:
-        self._for = self._for + dt if near else 0.0
+    def step(self, is_near: bool, dt: float) -> None:
+        self._duration = self._duration + dt if is_near else 0.0
 
-    def since(self, milliseconds: int) -> bool:
-        return self._for > 0.0 and self._for >= milliseconds / 1000.0
+    def has_lasted(self, milliseconds: int) -> bool:
+        return self._duration > 0.0 and self._duration >= milliseconds / 1000.0
 
 
 class ProfilePosition(OperationMode):
@@ -57,7 +57,7 @@ class ProfilePosition(OperationMode):
     def start(self, drive: Cia402Drive) -> None:
         self._target: float | None = None
         self._next: float | None = None
-        self._asked = 0.0
+        self._requested = 0.0
         self._acknowledged = False
         self._settled = _Settled()
 
@@ -81,23 +81,23 @@ class ProfilePosition(OperationMode):
             dt=dt,
         )
         drive.follow(dt)
-        near = abs(self._target - drive.position) <= objects.get(0x6067)
-        self._settled.step(near and drive.profile.position == self._target, dt)
-        if self._next is not None and self._settled.since(objects.get(0x6068)):
+        is_near = abs(self._target - drive.position) <= objects.get(0x6067)
+        self._settled.step(is_near and drive.profile.position == self._target, dt)
+        if self._next is not None and self._settled.has_lasted(objects.get(0x6068)):
             self._target, self._next = self._next, None
             self._acknowledged = bool(drive.controlword & _START)
             self._settled = _Settled()
 
     def status(self, drive: Cia402Drive) -> int:
-        reached = self._next is None and self._settled.since(drive.objects.get(0x6068))
-        limited = self._target is not None and self._target != self._asked
+        reached = self._next is None and self._settled.has_lasted(drive.objects.get(0x6068))
+        limited = self._target is not None and self._target != self._requested
         return REACHED * reached | LIMITED * limited | SPECIFIC * self._acknowledged
 
     def _set_point(self, drive: Cia402Drive) -> None:
         start = drive.position if self._target is None else self._target
-        self._asked = drive.objects.get(0x607A) + (start if drive.controlword & _RELATIVE else 0.0)
-        target = drive.within(self._asked)
-        moving = self._target is not None and not self._settled.since(drive.objects.get(0x6068))
+        self._requested = drive.objects.get(0x607A) + (start if drive.controlword & _RELATIVE else 0.0)
+        target = drive.within(self._requested)
+        moving = self._target is not None and not self._settled.has_lasted(drive.objects.get(0x6068))
         if moving and not drive.controlword & _AT_ONCE:
             if self._next is not None:
                 return
@@ -121,13 +121,13 @@ class ProfileVelocity(OperationMode):
         if drive.halted:
             drive.halt(dt)
         else:
-            slower = objects.get(0x6084)
-            drive.ramp(self._target, dt, acceleration=objects.get(0x6083), deceleration=slower)
-        near = abs(self._target - drive.velocity) <= max(objects.get(0x606D), 1)
-        self._settled.step(near, dt)
+            deceleration = objects.get(0x6084)
+            drive.ramp(self._target, dt, acceleration=objects.get(0x6083), deceleration=deceleration)
+        is_near = abs(self._target - drive.velocity) <= max(objects.get(0x606D), 1)
+        self._settled.step(is_near, dt)
 
     def status(self, drive: Cia402Drive) -> int:
-        reached = self._settled.since(drive.objects.get(0x606E))
+        reached = self._settled.has_lasted(drive.objects.get(0x606E))
         limited = not drive.halted and self._target != drive.objects.get(0x60FF)
         still = abs(drive.velocity) <= drive.objects.get(0x606D)
         return REACHED * reached | LIMITED * limited | SPECIFIC * still
@@ -151,8 +151,8 @@ class ProfileTorque(OperationMode):
         objects, rated = drive.objects, drive.motor.data.rated_torque
         target = (objects.get(0x6071) + objects.get(0x60B2)) / 1000.0 * rated
         target = max(-drive.strongest, min(drive.strongest, target))
-        most = self._slope(drive) * dt
-        drive.torque_demand += max(-most, min(most, target - drive.torque_demand))
+        max_change = self._slope(drive) * dt
+        drive.torque_demand += max(-max_change, min(max_change, target - drive.torque_demand))
         if abs(drive.velocity) >= drive.fastest and drive.velocity * drive.torque_demand > 0.0:
             drive.motor.track(drive.motor.speed, dt, abs(drive.torque_demand))
         else:

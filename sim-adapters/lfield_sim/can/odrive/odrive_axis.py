@@ -57,8 +57,8 @@ class OdriveAxis:
         self._trajectory = (5.0, 10.0, 10.0)
         self.ramp_rate = 10.0
         self.watching, self.watchdog = False, 0.0
-        self._unfed = self._busy = self._blocked = 0.0
-        self._rest()
+        self._watchdog_time = self._busy = self._blocked = 0.0
+        self._hold_position()
 
     @property
     def position(self) -> float:
@@ -108,7 +108,7 @@ class OdriveAxis:
         self.result = (
             ProcedureResult.SUCCESS if self.state is AxisState.CLOSED_LOOP_CONTROL else ProcedureResult.BUSY
         )
-        self._rest()
+        self._hold_position()
 
     def set_mode(self, control: int, mode: int) -> None:
         """Sets control and input modes; unknown numbers are ignored."""
@@ -142,10 +142,10 @@ class OdriveAxis:
         if speed > 0.0:
             self._trajectory = (speed, *self._trajectory[1:])
 
-    def set_trajectory_ramps(self, up: float, down: float) -> None:
+    def set_trajectory_ramps(self, acceleration: float, deceleration: float) -> None:
         """Sets the trapezoid's ramps in turns/s2."""
-        if up > 0.0 and down > 0.0:
-            self._trajectory = (self._trajectory[0], up, down)
+        if acceleration > 0.0 and deceleration > 0.0:
+            self._trajectory = (self._trajectory[0], acceleration, deceleration)
 
     def set_place(self, position: float) -> None:
         """Defines the present position."""
@@ -155,7 +155,7 @@ class OdriveAxis:
 
     def feed(self) -> None:
         """Feeds the watchdog."""
-        self._unfed = 0.0
+        self._watchdog_time = 0.0
 
     def clear(self) -> None:
         """Clears errors; persisting ones return."""
@@ -185,21 +185,21 @@ class OdriveAxis:
         elif self.state is AxisState.HOMING:
             self._go_home(dt)
         else:
-            self._motor.rest(dt)
+            self._motor.step_unpowered(dt)
         if self.state in _CALIBRATIONS:
             self._busy += dt
             if self._busy >= CALIBRATION:
                 self._succeed()
 
-    def _rest(self) -> None:
+    def _hold_position(self) -> None:
         """Sets inputs and reference to the present position."""
         self._position, self._velocity, self._torque = self.position, 0.0, 0.0
         self._profile = Trajectory(self.position, self.velocity)
         self._done = True
 
     def _check(self, dt: float) -> None:
-        self._unfed += dt
-        if self.watching and self._unfed > self.watchdog:
+        self._watchdog_time += dt
+        if self.watching and self._watchdog_time > self.watchdog:
             self.fail(AxisError.WATCHDOG_TIMER_EXPIRED)
         if abs(self.velocity) > TOLERANCE * self._speed_limit + 0.01:
             self.fail(AxisError.VELOCITY_LIMIT_VIOLATION)
@@ -244,15 +244,21 @@ class OdriveAxis:
         home = self._home - self._zero
         self._glide(home, HOMING_SPEED, *self._trajectory[1:], dt)
         self._track(self._profile.velocity + GAIN * (self._profile.position - self.position), dt)
-        there = self._profile.position == home and abs(self.position - home) < 1e-3
-        if there and abs(self.velocity) < 1e-3:
+        is_at_home = self._profile.position == home and abs(self.position - home) < 1e-3
+        if is_at_home and abs(self.velocity) < 1e-3:
             self.set_place(0.0)
             self._succeed()
 
-    def _glide(self, target: float, speed: float, up: float, down: float, dt: float) -> None:
+    def _glide(
+        self, target: float, speed: float, acceleration: float, deceleration: float, dt: float
+    ) -> None:
         """Moves the reference one step along a trapezoid."""
         self._profile.to_position(
-            target, speed=min(speed, self._speed_limit), acceleration=up, deceleration=down, dt=dt
+            target,
+            speed=min(speed, self._speed_limit),
+            acceleration=acceleration,
+            deceleration=deceleration,
+            dt=dt,
         )
 
     def _track(self, velocity: float, dt: float) -> None:

@@ -164,7 +164,9 @@ class OdriveNode:
         0x0E: lambda self, torque: self.axis.set_torque(torque),
         0x0F: lambda self, velocity, current: self.axis.set_limits(velocity, current),
         0x11: lambda self, velocity: self.axis.set_trajectory_speed(velocity),
-        0x12: lambda self, up, down: self.axis.set_trajectory_ramps(up, down),
+        0x12: lambda self, acceleration, deceleration: self.axis.set_trajectory_ramps(
+            acceleration, deceleration
+        ),
         cansimple_table.REBOOT: _reboot,
         cansimple_table.CLEAR_ERRORS: lambda self, _: self.axis.clear(),
         0x19: lambda self, position: self.axis.set_place(position),

@@ -75,7 +75,7 @@ def _servo(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer
 def _actuators(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
     """Sets PX4's actuators: six outputs from -1 to 1, NaN keeps one; 1000 to 2000 us."""
     for number in range(1, 7):
-        value = command.given(number)
+        value = command.optional(number)
         if value is not None and -1.0 <= value <= 1.0:
             pilot.payload.servos[number] = round(1500 + 500 * value)
     return MavResult.ACCEPTED, []
@@ -99,7 +99,7 @@ def _gripper(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnsw
 
 
 def _winch(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
-    action, length, rate = command.whole(2), command.given(3), command.given(4) or 0.0
+    action, length, rate = command.whole(2), command.optional(3), command.optional(4) or 0.0
     if action == dialect.WINCH_RELAXED:
         pilot.payload.wind(0.0)
     elif action == dialect.WINCH_RELATIVE_LENGTH_CONTROL and length is not None:

@@ -1,7 +1,7 @@
 """Gimbal manager of an autopilot, with regions of interest, and the older mount command.
 
-https://mavlink.io/en/services/gimbal_v2.html. ArduPilot obeys every station. PX4 obeys its primary controller
-only, and leaves commands unanswered if it has no gimbal.
+https://mavlink.io/en/services/gimbal_v2.html. ArduPilot accepts commands of every station, PX4 only
+those of its primary controller. Without a gimbal PX4 does not answer commands.
 """
 
 from __future__ import annotations
@@ -78,23 +78,23 @@ class GimbalService(VehicleService):
     def _missing(self) -> CommandAnswer:
         return (None if self._px4 else MavResult.FAILED), []
 
-    def _obeys(self, source: Sender) -> bool:
-        """Whether the manager obeys a sender; the autopilot's own missions have none."""
+    def _accepts(self, source: Sender) -> bool:
+        """Whether the manager accepts commands of a sender; items of missions have none."""
         return not self._px4 or source in (NO_SENDER, self.autopilot.payload.gimbal.primary)
 
-    def _is_mine(self, device: int) -> bool:
+    def _is_own_device(self, device: int) -> bool:
         return device in (0, device_of(self.autopilot))
 
     def _pitch_yaw(self, command: MavCommand) -> CommandAnswer:
         """Angles in degrees, or rates in deg/s; NaN keeps an angle."""
         if not self._has_gimbal:
             return self._missing()
-        if not self._obeys(command.source):
+        if not self._accepts(command.source):
             return MavResult.DENIED, []
-        if not self._is_mine(command.whole(7)):
+        if not self._is_own_device(command.whole(7)):
             return MavResult.FAILED, []
         gimbal = self.autopilot.payload.gimbal
-        pitch, yaw, pitch_rate, yaw_rate = map(_radians, map(command.given, range(1, 5)))
+        pitch, yaw, pitch_rate, yaw_rate = map(_radians, map(command.optional, range(1, 5)))
         if pitch is not None or yaw is not None:
             flags = command.whole(5)
             gimbal.point(pitch, yaw, locked=bool(flags & dialect.GIMBAL_MANAGER_FLAGS_YAW_LOCK))
@@ -117,7 +117,7 @@ class GimbalService(VehicleService):
 
     def _watch(self, command: MavCommand) -> CommandAnswer:
         """Sets a region of interest, or ends it."""
-        if not self._is_mine(command.whole(1)):
+        if not self._is_own_device(command.whole(1)):
             return MavResult.FAILED, []
         target = None
         if command.number == dialect.MAV_CMD_DO_SET_ROI_LOCATION:
@@ -132,7 +132,7 @@ class GimbalService(VehicleService):
             return self._missing()
         if command.whole(7) != dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING:
             return MavResult.DENIED, []
-        self.autopilot.payload.gimbal.point(_radians(command.given(1)), _radians(command.given(3)))
+        self.autopilot.payload.gimbal.point(_radians(command.optional(1)), _radians(command.optional(3)))
         return MavResult.ACCEPTED, []
 
     # -- messages -------------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ class GimbalService(VehicleService):
     def _on_set_attitude(self, message: Any) -> list[Any]:
         """GIMBAL_MANAGER_SET_ATTITUDE 282: an attitude, or rates where the attitude is NaN."""
         source = message.get_srcSystem(), message.get_srcComponent()
-        if not (self._obeys(source) and self._is_mine(message.gimbal_device_id)):
+        if not (self._accepts(source) and self._is_own_device(message.gimbal_device_id)):
             return []
         gimbal = self.autopilot.payload.gimbal
         rates = message.angular_velocity_y, message.angular_velocity_z

@@ -9,7 +9,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 #: The parser keeps its input until the buffer is empty, which may never happen on a stream.
-KEPT = 4096
+MAX_BUFFER = 4096
 #: Peers stored at most; the one that was silent longest is removed.
 MAX_PEERS = 16
 
@@ -27,7 +27,7 @@ class PacketReader:
         for message in parser.parse_buffer(data) or ():
             if message.get_msgId() >= 0 and not isinstance(message, dialect.MAVLink_unknown):
                 yield message
-        if parser.buf_index > KEPT:
+        if parser.buf_index > MAX_BUFFER:
             parser.buf = parser.buf[parser.buf_index :]
             parser.buf_index = 0
 

@@ -39,7 +39,7 @@ PX4_FILES: Mapping[str, bytes] = {
 }
 #: ArduPilot's entries of virtual folders, and the reported size of a generated file.
 SYSTEM_SIZE, MISSION_SIZE = 100_000, 1 << 20
-SHOWN: Mapping[str, tuple[str, ...]] = {
+LISTINGS: Mapping[str, tuple[str, ...]] = {
     "@ROMFS": ("Flocations.txt\t4727", "Dmodels"),
     "@SYS": tuple(
         f"F{name}.txt\t{SYSTEM_SIZE}" for name in ("threads", "tasks", "dma", "memory", "uarts", "timers")
@@ -68,7 +68,7 @@ class FileService(VehicleService):
         if autopilot.flavour.name == "px4":
             self._server = FtpServer(FileTree(PX4_FILES, dots=("S", "S")), PX4)
         else:
-            tree = FileTree(ARDUPILOT_FILES, self._made(), SHOWN, dots=("D.", "D.."))
+            tree = FileTree(ARDUPILOT_FILES, self._generated_files(), LISTINGS, dots=("D.", "D.."))
             self._server = FtpServer(tree, ARDUPILOT, autopilot.say)
         self.handles = {dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._on_request}
 
@@ -84,7 +84,7 @@ class FileService(VehicleService):
         peer = message.get_srcSystem(), message.get_srcComponent()
         return [_message(peer, payload) for payload in self._server.receive(peer, bytes(message.payload))]
 
-    def _made(self) -> dict[str, GeneratedFile]:
+    def _generated_files(self) -> dict[str, GeneratedFile]:
         """Files that ArduPilot generates when they are read; those of missions and tasks keep their
         checksum.
         """
@@ -98,15 +98,15 @@ class FileService(VehicleService):
         def mission() -> int:
             return MISSION_SIZE
 
-        found = {
+        generated = {
             PACKED_PARAMETERS: GeneratedFile(self._packed_parameters, size, checks=False),
             f"{PACKED_PARAMETERS}?withdefaults=1": GeneratedFile(self._with_defaults, size, checks=False),
             "@SYS/tasks.txt": GeneratedFile(lambda: b"TasksV2\n", system),
             "@SYS/uarts.txt": GeneratedFile(lambda: b"UARTV1\n", system, checks=False),
         }
         for kind, name in enumerate(("mission", "fence", "rally")):
-            found[f"@MISSION/{name}.dat"] = GeneratedFile(partial(_empty_plan, kind), mission)
-        return found
+            generated[f"@MISSION/{name}.dat"] = GeneratedFile(partial(_empty_plan, kind), mission)
+        return generated
 
     def _with_defaults(self) -> bytes:
         return packed_parameters(self._rows(), self._defaults())
@@ -140,19 +140,19 @@ def packed_parameters(
     """
     magic = _PACK_MAGIC if defaults is None else _DEFAULTS_MAGIC
     data = struct.pack("<HHH", magic, len(rows), len(rows))
-    before = ""
+    previous = ""
     for name in sorted(rows):
         kind, value = rows[name]
         number, form = _PACKED[kind]
-        common = min(_common(before, name), _LONGEST_RUN, len(name) - 1)
-        rest = name[common:]
+        common = min(_common(previous, name), _LONGEST_RUN, len(name) - 1)
+        suffix = name[common:]
         values = [value]
         if defaults is not None and defaults.get(name, value) != value:
             values, number = [value, defaults[name]], number | _HAS_DEFAULT
-        data += bytes((number, (len(rest) - 1) << 4 | common)) + rest.encode()
+        data += bytes((number, (len(suffix) - 1) << 4 | common)) + suffix.encode()
         for each in values:
             data += struct.pack(form, each if kind is ParameterType.REAL32 else int(each))
-        before = name
+        previous = name
     return data
 
 

@@ -52,7 +52,7 @@ class GeneratedFile:
 
 
 class FileTree:
-    """Folders and files. `made` are generated files; `shown` lists their folders.
+    """Folders and files. `generated` are generated files; `listings` lists their folders.
 
     `dots` are the entries of a folder for itself and its parent.
     """
@@ -60,12 +60,12 @@ class FileTree:
     def __init__(
         self,
         files: Mapping[str, bytes],
-        made: Mapping[str, GeneratedFile] | None = None,
-        shown: Mapping[str, Sequence[str]] | None = None,
+        generated: Mapping[str, GeneratedFile] | None = None,
+        listings: Mapping[str, Sequence[str]] | None = None,
         dots: Sequence[str] = (),
     ) -> None:
         self._dots = dots
-        self._made, self._shown = dict(made or {}), dict(shown or {})
+        self._generated, self._listings = dict(generated or {}), dict(listings or {})
         self._folders: set[str] = {"/"}
         self._files: dict[str, bytearray] = {}
         for path, data in files.items():
@@ -74,8 +74,8 @@ class FileTree:
 
     def read(self, path: str) -> bytes:
         """The whole of a file. Raises FileTreeError."""
-        if path in self._made:
-            return self._made[path].content()
+        if path in self._generated:
+            return self._generated[path].content()
         path = _plain(path)
         if path in self._files:
             return bytes(self._files[path])
@@ -84,26 +84,26 @@ class FileTree:
     def checked(self, path: str) -> bytes:
         """The content for the checksum of a file. Raises FileTreeError."""
         content = self.read(path)
-        checks = path not in self._made or self._made[path].checks
+        checks = path not in self._generated or self._generated[path].checks
         return content if checks else content + b"\0"
 
     def size(self, path: str) -> int:
         """The reported size of a file. Raises FileTreeError."""
-        return self._made[path].reported_size() if path in self._made else len(self.read(path))
+        return self._generated[path].reported_size() if path in self._generated else len(self.read(path))
 
     def has(self, path: str) -> bool:
         """Whether a file exists. Raises FileTreeError for an invalid path."""
-        return path in self._made or _plain(path) in self._files
+        return path in self._generated or _plain(path) in self._files
 
     def entries(self, path: str) -> list[str]:
         """The entries of a folder: `D<name>`, `F<name>\\t<size>`, `S`: skipped. Raises FileTreeError."""
-        if path.rstrip("/") in self._shown:
-            return list(self._shown[path.rstrip("/")])
+        if path.rstrip("/") in self._listings:
+            return list(self._listings[path.rstrip("/")])
         path = _plain(path)
         if path not in self._folders:
             raise FileTreeError(FtpError.NOT_FOUND)
-        shown = [f"D{each}" for each in self._shown if path == "/"]
-        return [*self._dots, *self._inside(path), *shown]
+        virtual_folders = [f"D{each}" for each in self._listings if path == "/"]
+        return [*self._dots, *self._inside(path), *virtual_folders]
 
     def _inside(self, path: str) -> list[str]:
         """The stored entries of a folder."""
@@ -113,7 +113,7 @@ class FileTree:
 
     def create(self, path: str) -> None:
         """Creates an empty file, replacing an existing one. Raises FileTreeError."""
-        path = self._new(path, there=self._files)
+        path = self._new(path, existing=self._files)
         if path in self._folders:
             raise FileTreeError(FtpError.FAIL_ERRNO, errno.EISDIR)
         self._files[path] = bytearray()
@@ -138,7 +138,7 @@ class FileTree:
 
     def rename(self, old: str, new: str) -> None:
         """Renames a file. Raises FileTreeError."""
-        old, new = _plain(old), self._new(new, there=self._files)
+        old, new = _plain(old), self._new(new, existing=self._files)
         if old not in self._files:
             raise FileTreeError(FtpError.NOT_FOUND)
         if new in self._folders:
@@ -154,7 +154,7 @@ class FileTree:
 
     def make_folder(self, path: str) -> None:
         """Creates a folder in an existing one. Raises FileTreeError."""
-        path = self._new(path, there=())
+        path = self._new(path, existing=())
         if path in self._folders or path in self._files:
             raise FileTreeError(FtpError.EXISTS)
         self._folders.add(path)
@@ -168,12 +168,12 @@ class FileTree:
             raise FileTreeError(FtpError.FAIL_ERRNO, errno.ENOTEMPTY)
         self._folders.remove(path)
 
-    def _new(self, path: str, there: Mapping[str, bytearray] | tuple[()]) -> str:
+    def _new(self, path: str, existing: Mapping[str, bytearray] | tuple[()]) -> str:
         """The plain path of a new entry, if there is a folder and room for it."""
         path = _plain(path)
         if _parent(path) not in self._folders:
             raise FileTreeError(FtpError.NOT_FOUND)
-        if path not in there and len(self._files) + len(self._folders) >= MAX_ENTRIES:
+        if path not in existing and len(self._files) + len(self._folders) >= MAX_ENTRIES:
             raise FileTreeError(FtpError.FAIL_ERRNO, errno.ENOSPC)
         return path
 
@@ -184,8 +184,8 @@ class FileTree:
 
 
 def _plain(path: str) -> str:
-    """The path without repeated and trailing slashes. Raises FileTreeError if it leads out, or is too
-    long.
+    """The path without repeated and trailing slashes. Raises FileTreeError if it leaves the tree, or
+    is too long.
     """
     parts = [part for part in path.split("/") if part not in ("", ".")]
     if len(path) > MAX_PATH or ".." in parts or any("\t" in part for part in parts):

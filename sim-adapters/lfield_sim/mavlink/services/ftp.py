@@ -50,15 +50,15 @@ class FtpOpcode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class FtpPacket:
-    """One request or reply. `of` is the opcode that a reply answers, `size` the length of its data or of the
-    requested data.
+    """One request or reply. `request_opcode` is that of the answered request, `size` the length of the data
+    or of the requested data.
     """
 
     number: int
     session: int
     opcode: int
     size: int = 0
-    of: int = 0
+    request_opcode: int = 0
     burst_over: int = 0
     offset: int = 0
     data: bytes = b""
@@ -68,14 +68,14 @@ class FtpPacket:
         """The packet in the payload of message 110; None if invalid."""
         if len(payload) < HEADER.size:
             return None
-        number, session, opcode, size, of, over, offset = HEADER.unpack_from(payload)
+        number, session, opcode, size, request_opcode, over, offset = HEADER.unpack_from(payload)
         data = payload[HEADER.size : HEADER.size + size]
-        return cls(number, session, opcode, size, of, over, offset, data)
+        return cls(number, session, opcode, size, request_opcode, over, offset, data)
 
     def write(self) -> bytes:
         """The payload of message 110."""
-        head = (self.number, self.session, self.opcode, self.size, self.of, self.burst_over, self.offset)
-        return (HEADER.pack(*head) + self.data).ljust(PAYLOAD, b"\0")
+        head = (self.number, self.session, self.opcode, self.size, self.request_opcode)
+        return (HEADER.pack(*head, self.burst_over, self.offset) + self.data).ljust(PAYLOAD, b"\0")
 
     @property
     def path(self) -> str:
@@ -194,7 +194,7 @@ class FtpServer:
         if peer in self._last and self._last[peer][0] == request:
             return [self._last[peer][1].write()]
         try:
-            reply = self._carry_out(peer, request)
+            reply = self._execute(peer, request)
         except FileTreeError as error:
             reply = request.nak(error)
         if reply is None:
@@ -215,7 +215,7 @@ class FtpServer:
         self._bursts.clear()
         self._last.clear()
 
-    def _carry_out(self, peer: Peer, request: FtpPacket) -> FtpPacket | None:
+    def _execute(self, peer: Peer, request: FtpPacket) -> FtpPacket | None:
         if request.size > DATA:
             raise FileTreeError(FtpError.INVALID_DATA_SIZE)
         handler = _HANDLERS.get(request.opcode)
@@ -344,12 +344,12 @@ class FtpServer:
         return request.ack()
 
     def _reset(self, peer: Peer, request: FtpPacket) -> FtpPacket:
-        for held in (self._sessions, self._bursts):
-            for key in [key for key in held if key[0] == peer]:
-                del held[key]
+        for table in (self._sessions, self._bursts):
+            for key in [key for key in table if key[0] == peer]:
+                del table[key]
         return request.ack()
 
-    def _none(self, _: Peer, request: FtpPacket) -> FtpPacket:
+    def _acknowledge(self, _: Peer, request: FtpPacket) -> FtpPacket:
         return request.ack()
 
 
@@ -363,7 +363,7 @@ def ftp_crc32(data: bytes) -> int:
 
 
 _HANDLERS: Mapping[int, Callable[[FtpServer, Peer, FtpPacket], FtpPacket | None]] = {
-    FtpOpcode.NONE: FtpServer._none,
+    FtpOpcode.NONE: FtpServer._acknowledge,
     FtpOpcode.TERMINATE: FtpServer._terminate,
     FtpOpcode.RESET: FtpServer._reset,
     FtpOpcode.LIST: FtpServer._list,

@@ -79,8 +79,8 @@ def parameter_table(flavour: str, kind: str) -> Mapping[str, ParameterRow]:
 class ParameterService(VehicleService):
     """The parameter protocol.
 
-    An unknown name has no answer, nor has a wrong type on PX4, or NaN on ArduPilot; PX4 accepts NaN, and
-    values beyond a parameter's range.
+    An unknown name has no answer. A wrong type has none on PX4, and NaN has none on ArduPilot; PX4 accepts
+    NaN and values beyond a parameter's range.
     """
 
     def __init__(self, autopilot: Autopilot, place: GeoOrigin) -> None:
@@ -103,15 +103,15 @@ class ParameterService(VehicleService):
 
     def advance(self, now: float) -> list[Any]:
         """Values of looked-up names, changed counters, and the next values of a list."""
-        found: list[Any] = []
+        messages: list[Any] = []
         while self._requested and now >= self._requested[0][0]:
-            found.append(self._value(self._requested.popleft()[1], named=True))
-        for name, before in self._counted.items():
-            if (count := self.autopilot.parameters[name]) != before:
+            messages.append(self._value(self._requested.popleft()[1], named=True))
+        for name, previous in self._counted.items():
+            if (count := self.autopilot.parameters[name]) != previous:
                 self._counted[name] = count
-                found.append(self._value(name, named=True))
+                messages.append(self._value(name, named=True))
         listed = [self._listing.popleft() for _ in range(min(PER_STEP, len(self._listing)))]
-        return found + [self._value(name) for name in listed]
+        return messages + [self._value(name) for name in listed]
 
     def reboot(self) -> None:
         """Ends a running list; values stay."""
@@ -183,5 +183,5 @@ class ParameterService(VehicleService):
             return value
         if self._bytewise:
             return float(struct.unpack("<i", struct.pack("<f", value))[0])
-        least, greatest = kind.bounds
-        return float(min(max(int(value), least), greatest)) if math.isfinite(value) else math.nan
+        lowest, highest = kind.bounds
+        return float(min(max(int(value), lowest), highest)) if math.isfinite(value) else math.nan

@@ -133,10 +133,10 @@ def check(item: PlanItem, kind: PlanType, *, nan_means_unset: bool) -> PlanResul
         return PlanResult.UNSUPPORTED
     if item.frame not in PLACED and (item.frame != UNPLACED or _has_place(item, kind)):
         return PlanResult.UNSUPPORTED_FRAME
-    for number, (value, wrong) in enumerate(zip(item.values, _PARAMS, strict=True), 1):
+    for number, (value, invalid) in enumerate(zip(item.values, _PARAMS, strict=True), 1):
         may_be_nan = nan_means_unset or (number == 4 and item.command in PLACE_COMMANDS)
         if math.isinf(value) or (math.isnan(value) and not may_be_nan):
-            return wrong
+            return invalid
     if _has_place(item, kind):
         return _check_place(item)
     return PlanResult.ACCEPTED
@@ -144,18 +144,18 @@ def check(item: PlanItem, kind: PlanType, *, nan_means_unset: bool) -> PlanResul
 
 def check_fence(items: Sequence[PlanItem]) -> PlanResult:
     """Whether all vertices of each polygon are present, at least three, and circles have a radius."""
-    left, of = 0, (0, 0.0)
+    remaining, polygon = 0, (0, 0.0)
     for item in items:
         if item.command in POLYGONS:
-            mine = (item.command, item.values[0])
-            if left == 0:
-                of, left = mine, int(item.values[0]) if 3 <= item.values[0] <= 255 else 0
-            if mine != of or left == 0:
+            corner = (item.command, item.values[0])
+            if remaining == 0:
+                polygon, remaining = corner, int(item.values[0]) if 3 <= item.values[0] <= 255 else 0
+            if corner != polygon or remaining == 0:
                 return PlanResult.INVALID_PARAM1
-            left -= 1
-        elif left or (item.command in CIRCLES and not item.values[0] > 0.0):
+            remaining -= 1
+        elif remaining or (item.command in CIRCLES and not item.values[0] > 0.0):
             return PlanResult.INVALID_PARAM1
-    return PlanResult.INVALID if left else PlanResult.ACCEPTED
+    return PlanResult.INVALID if remaining else PlanResult.ACCEPTED
 
 
 def is_too_small(item: PlanItem) -> bool:

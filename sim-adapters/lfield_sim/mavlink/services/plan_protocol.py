@@ -1,6 +1,6 @@
 """Mission protocol, server side: upload, download and clearing of missions, fences and rally points.
 
-The vehicle leads an upload: it requests item after item, repeats lost requests, and finally gives up. PX4
+The vehicle controls an upload: it requests each item, repeats lost requests, and aborts after a time-out. PX4
 replaces a plan only after a complete, valid upload. ArduPilot overwrites a mission item by item: a failed one
 leaves the new items received, and as many old ones as the new count says. Pure: messages in, messages out.
 
@@ -49,8 +49,8 @@ class PlanStyle:
     old_request: bool
     refuses_disorder: bool
     nan_means_unset: bool
-    ask_again: float
-    give_up: float
+    request_interval: float
+    timeout: float
     capacity: Mapping[PlanType, int]
     writes_at_once: bool
     needs_list: bool
@@ -64,8 +64,8 @@ ARDUPILOT = PlanStyle(
     old_request=True,
     refuses_disorder=True,
     nan_means_unset=False,
-    ask_again=1.0,
-    give_up=8.0,
+    request_interval=1.0,
+    timeout=8.0,
     capacity={PlanType.MISSION: 724, PlanType.FENCE: 84, PlanType.RALLY: 10},
     writes_at_once=True,
     needs_list=False,
@@ -84,8 +84,8 @@ PX4 = PlanStyle(
     old_request=False,
     refuses_disorder=False,
     nan_means_unset=True,
-    ask_again=0.25,
-    give_up=5.0,
+    request_interval=0.25,
+    timeout=5.0,
     capacity={PlanType.MISSION: 500, PlanType.FENCE: 32, PlanType.RALLY: 32},
     writes_at_once=False,
     needs_list=True,
@@ -103,7 +103,7 @@ class _Upload:
     kind: PlanType
     count: int
     last_received: float
-    asked: float
+    last_request: float
     items: list[PlanItem] = field(default_factory=list)
 
 
@@ -118,7 +118,7 @@ def _silence(_: str) -> None:
 class PlanProtocol:
     """The plans of one vehicle.
 
-    `home` is item 0 of an ArduPilot mission, None without one; `changed` is called for new plans, with
+    `home` is item 0 of an ArduPilot mission, None without one; `on_change` is called for new plans, with
     whether they are complete; `say` sends a text.
     """
 
@@ -126,10 +126,10 @@ class PlanProtocol:
         self,
         style: PlanStyle,
         home: Callable[[], PlanItem | None],
-        changed: Callable[[PlanType, bool], None] = _nothing,
+        on_change: Callable[[PlanType, bool], None] = _nothing,
         say: Callable[[str], None] = _silence,
     ) -> None:
-        self._style, self._home, self._changed, self._speak = style, home, changed, say
+        self._style, self._home, self._on_change, self._speak = style, home, on_change, say
         self.items: dict[PlanType, list[PlanItem]] = {kind: [] for kind in PlanType}
         #: Whether no mission was ever stored or cleared: ArduPilot then has its home as one.
         self.untouched = style.home_first
@@ -151,16 +151,16 @@ class PlanProtocol:
         return handler(self, message, PlanType(message.mission_type), now)
 
     def advance(self, now: float) -> list[Any]:
-        """Repeats the request for a missing item, and finally gives up."""
+        """Repeats the request for a missing item, and aborts the upload after a time-out."""
         upload = self._upload
         if upload is None:
             return []
-        if now - upload.last_received > self._style.give_up - HAIR:
+        if now - upload.last_received > self._style.timeout - HAIR:
             self._upload = None
             self._say("timeout")
             cancelled = _ack(upload.peer, PlanResult.OPERATION_CANCELLED, upload.kind)
             return [cancelled] if self._style.cancels else []
-        if now - upload.asked > self._style.ask_again - HAIR:
+        if now - upload.last_request > self._style.request_interval - HAIR:
             return [self._request(upload, now)]
         return []
 
@@ -237,13 +237,13 @@ class PlanProtocol:
         return [_ack(upload.peer, result, upload.kind)]
 
     def _request(self, upload: _Upload, now: float) -> Any:
-        upload.asked = now
+        upload.last_request = now
         make = dialect.MAVLink_mission_request_int_message
         if self._style.old_request:
             make = dialect.MAVLink_mission_request_message
         return make(*upload.peer, len(upload.items), int(upload.kind))
 
-    # -- downloads and the rest -----------------------------------------------------------------------
+    # -- downloads and clearing -----------------------------------------------------------------------
 
     def _on_request_list(self, message: Any, kind: PlanType, _: float) -> list[Any]:
         peer, count = _peer(message), len(self.stored(kind))
@@ -310,7 +310,7 @@ class PlanProtocol:
         self.items[kind] = items
         if kind is PlanType.MISSION:
             self.untouched = False
-        self._changed(kind, whole)
+        self._on_change(kind, whole)
 
     def _say(self, event: str) -> None:
         if event in self._style.texts:

@@ -46,7 +46,7 @@ class PlanService(VehicleService):
         super().__init__(autopilot, place)
         self._home_first = autopilot.flavour.home_item
         style = ARDUPILOT if self._home_first else PX4
-        self._protocol = PlanProtocol(style, self._home, self._changed, autopilot.say)
+        self._protocol = PlanProtocol(style, self._home, self._on_change, autopilot.say)
         self._fence = autopilot.fence = UploadedFence()
         self._reported = self._progress
         self._repeats: list[tuple[float, int]] = []
@@ -99,7 +99,7 @@ class PlanService(VehicleService):
         peer = message.get_srcSystem(), message.get_srcComponent()
         return [dialect.MAVLink_mission_ack_message(*peer, int(result), int(PlanType.MISSION))]
 
-    def _changed(self, kind: PlanType, whole: bool) -> None:
+    def _on_change(self, kind: PlanType, whole: bool) -> None:
         """Handles a changed plan: a `whole` one is flown on command, or enforced from now on."""
         items = self._protocol.items[kind]
         if COUNTS[kind] in self.autopilot.parameters:

@@ -1,8 +1,8 @@
 """Calibrations and pre-arm checks as seen by clients: results, texts and arming restrictions.
 
 No sensor is calibrated. ArduPilot answers at the end of a calibration, PX4 at its start, followed by texts
-about its progress. One that needs manual motion (ArduPilot's accelerometer, PX4's magnetometer and
-accelerometer) never ends by itself; nor does PX4's barometer, as in its simulator.
+about its progress. A calibration that needs manual motion (ArduPilot's accelerometer, PX4's magnetometer and
+accelerometer) does not end by itself; the same applies to PX4's barometer, as in its simulator.
 """
 
 from __future__ import annotations

@@ -176,12 +176,12 @@ def extended_sys_state(autopilot: Autopilot, _: GeoOrigin) -> Any:
 
 def fence_status(autopilot: Autopilot, _: GeoOrigin) -> Any:
     """FENCE_STATUS 162; fence avoidance limits the speed."""
-    avoids = autopilot.vehicle.corral is not None
+    avoids = autopilot.vehicle.velocity_fence is not None
     mitigation = dialect.FENCE_MITIGATE_VEL_LIMIT if avoids else dialect.FENCE_MITIGATE_NONE
-    watch = autopilot.failsafes.fences
-    at = int(max(0.0, watch.breached_at - autopilot.booted) * 1000)
+    monitor = autopilot.failsafes.fences
+    time = int(max(0.0, monitor.breached_at - autopilot.booted) * 1000)
     return dialect.MAVLink_fence_status_message(
-        1 if watch.breach else 0, watch.breaches, watch.breach, at & 0xFFFFFFFF, mitigation
+        1 if monitor.breach else 0, monitor.breaches, monitor.breach, time & 0xFFFFFFFF, mitigation
     )
 
 

@@ -37,8 +37,8 @@ def servo_output_raw(autopilot: Autopilot, _: GeoOrigin) -> Any:
 def relay_status(autopilot: Autopilot, _: GeoOrigin) -> Any:
     """RELAY_STATUS 376."""
     relays = autopilot.payload.relays
-    on = sum(1 << number for number, state in relays.items() if state)
-    return dialect.MAVLink_relay_status_message(millis(autopilot), on, (1 << len(relays)) - 1)
+    states = sum(1 << number for number, state in relays.items() if state)
+    return dialect.MAVLink_relay_status_message(millis(autopilot), states, (1 << len(relays)) - 1)
 
 
 def winch_status(autopilot: Autopilot, _: GeoOrigin) -> Any:

@@ -61,7 +61,7 @@ def test_the_program_of_the_page_starts_calls_and_stops(active, lfield, alone) -
 def test_a_client_without_rights_is_refused_and_the_mission_continues(active, lfield, here) -> None:
     here("start", status=0)
     keys = lfield.keys.folder / "eve"
-    lfield.keys.put("eve", lfield.keys.made("person", "eve", Right.OBSERVE))
+    lfield.keys.put("eve", lfield.keys.issue("person", "eve", Right.OBSERVE))
 
     async def eve() -> tuple[str, str, dict[str, object], dict[str, object]]:
         async with connect(keys=keys) as team:
@@ -129,7 +129,7 @@ HOLD = ("call", {"agent": "post", "portal": "hold", "arguments": [600.0], "timeo
 
 @pytest.mark.few(0)
 def test_rights_and_the_access_file_limit_an_assistant(active, assistant, lfield, here):
-    lfield.keys.put("eve", lfield.keys.made("person", "eve", Right.OBSERVE))
+    lfield.keys.put("eve", lfield.keys.issue("person", "eve", Right.OBSERVE))
     (_, status), (_, started), *wrong = assistant("--keys", lfield.keys.folder / "eve")(
         ("status", {}), ("start", {}), ("start", {"with": []}), ("query", {"query": 5}), ("fly", {}), COUNT
     )

@@ -49,7 +49,7 @@ class Client:
         if not replies:
             return None
         (reply,) = map(FtpPacket.read, replies)
-        assert (reply.number, reply.of) == (request.number + 1, request.opcode)
+        assert (reply.number, reply.request_opcode) == (request.number + 1, request.opcode)
         return reply
 
     def refused(self, *words, **options):
@@ -83,7 +83,7 @@ def test_large_folder_is_listed_in_pieces():
 
 def test_folder_listing_has_the_dot_entries_of_each_autopilot():
     ardupilot = Client(
-        FtpServer(FileTree({"/f": b"1"}, shown={"@SYS": ["Fx\t9"]}, dots=("D.", "D..")), ARDUPILOT)
+        FtpServer(FileTree({"/f": b"1"}, listings={"@SYS": ["Fx\t9"]}, dots=("D.", "D..")), ARDUPILOT)
     )
     assert ardupilot.ok(FtpOpcode.LIST, "/").data == b"D.\0\0D..\0\0Ff\t1\0\0D@SYS\0\0"
     assert ardupilot.ok(FtpOpcode.LIST, "/", offset=3).data == b"D@SYS\0\0"

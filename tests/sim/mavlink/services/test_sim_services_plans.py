@@ -122,11 +122,11 @@ def test_missing_item_is_requested_again_until_a_timeout(style):
     s = Station(style)
     s.count(3)
     s.item(0, waypoint())
-    received = s.wait(style.give_up - 0.1)
+    received = s.wait(style.timeout - 0.1)
     assert {m.seq for m in received} == {1}
-    assert len(received) == pytest.approx((style.give_up - 0.1) / style.ask_again, abs=2)
+    assert len(received) == pytest.approx((style.timeout - 0.1) / style.request_interval, abs=2)
     assert s.texts == []
-    ends = [m for m in s.wait(style.ask_again + 0.3) if m.get_type() == "MISSION_ACK"]
+    ends = [m for m in s.wait(style.request_interval + 0.3) if m.get_type() == "MISSION_ACK"]
     # PX4 reports it only as a text.
     assert [end.type for end in ends] == [PlanResult.OPERATION_CANCELLED] * style.cancels
     assert s.texts == [style.texts["timeout"]]

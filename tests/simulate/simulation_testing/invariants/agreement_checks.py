@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from itertools import combinations
 
-from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.simulate.host_fleet import Fleet, HostRun
 from lfield.wire.coordinator_messages import CoordinatorState
 from simulation_testing.invariants.breaches import Breaches
 
@@ -20,7 +20,7 @@ from simulation_testing.invariants.breaches import Breaches
 AGREED_WITHIN = 8.0
 
 #: Two hosts that disagree: the subject, the hosts with their lives, and the sender's transfer, 0 for none.
-_Case = tuple[str, str, HostLife, str, HostLife, int]
+_Case = tuple[str, str, HostRun, str, HostRun, int]
 
 
 class AgreementChecks:
@@ -34,7 +34,7 @@ class AgreementChecks:
     def check(self) -> None:
         """Check the reports of hosts; called several times a second."""
         fleet = self._fleet()
-        rows = {name: life.core.mobility.known_states() for name, life in fleet.lives.items()}
+        rows = {name: life.core.mobility.known_states() for name, life in fleet.runs.items()}
         cases = {*self._both_in_doubt(rows), *self._without_answer(rows)}
         groups = _groups(fleet) if cases else {}
         now = fleet.now
@@ -53,7 +53,7 @@ class AgreementChecks:
 
     def _both_in_doubt(self, rows: dict[str, list[CoordinatorState]]) -> Iterable[_Case]:
         """True if both report doubt; the host of an unreadable block counts it as lost."""
-        lives = self._fleet().lives
+        lives = self._fleet().runs
         doubts = {
             name: {row.agent for row in known if row.state == "IN DOUBT" and not row.unreadable}
             for name, known in rows.items()
@@ -66,18 +66,18 @@ class AgreementChecks:
         fleet = self._fleet()
         for name, known in rows.items():
             for row in known:
-                if row.state not in ("PREPARED", "IN DOUBT") or row.where not in fleet.lives:
+                if row.state not in ("PREPARED", "IN DOUBT") or row.where not in fleet.runs:
                     continue
-                receiver, disk = fleet.lives[row.where], fleet.disks[row.where]
+                receiver, disk = fleet.runs[row.where], fleet.disks[row.where]
                 remembers = receiver.core.hello().state_id == row.receiver_memory
                 if remembers and not (disk.full or disk.broken or disk.slow):
-                    yield row.agent, name, fleet.lives[name], row.where, receiver, row.sequence
+                    yield row.agent, name, fleet.runs[name], row.where, receiver, row.sequence
 
 
 def _groups(fleet: Fleet) -> dict[str, set[str]]:
     """For each running host, the hosts that standing links connect with it."""
     groups: dict[str, set[str]] = {}
-    runs = {name: life for name, life in fleet.lives.items() if not life.process.loop.frozen}
+    runs = {name: life for name, life in fleet.runs.items() if not life.process.loop.frozen}
     for name in runs:
         groups[name] = {name}
     for one, other in combinations(sorted(runs), 2):
@@ -90,10 +90,10 @@ def _groups(fleet: Fleet) -> dict[str, set[str]]:
 def _are_linked(fleet: Fleet, one: str, other: str) -> bool:
     ways, incarnation = (
         fleet.network.paths,
-        {name: fleet.lives[name].core.incarnation for name in (one, other)},
+        {name: fleet.runs[name].core.incarnation for name in (one, other)},
     )
     ends = all(
-        fleet.lives[near].host.peers.incarnations.get(far) == incarnation[far]
+        fleet.runs[near].host.peers.incarnations.get(far) == incarnation[far]
         for near, far in ((one, other), (other, one))
     )
     return ends and not ways.silences(one, other) and not {(one, other), (other, one)} & ways.slow.keys()

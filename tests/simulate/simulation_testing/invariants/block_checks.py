@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from lfield.journal.records import CoordinatorRecord, FenceRecord, PendingCallRecord, Record
 from lfield.replication.transfer.generations import is_recovery
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.vm.agent import Agent
 from lfield.vm.memory.layout import THREAD_ID
 from lfield.vm.memory.threads import threads
@@ -92,7 +92,7 @@ class BlockChecks:
         """Whether a start of an agent has begun any piece."""
         return (agent, generation) in self._started_for
 
-    def on_output(self, life: HostLife, agent: Agent, text: list[str]) -> bool:
+    def on_output(self, life: HostRun, agent: Agent, text: list[str]) -> bool:
         """Handle an output line of a program; whether it is about a block."""
         match text:
             case ["opens" | "closes" | "told" as what, who, number, *more]:
@@ -168,7 +168,7 @@ class BlockChecks:
 
     # --- output of resources --------------------------------------------------------------------------
 
-    def _sets(self, life: HostLife, resource: Agent, key: tuple[str, int], number: int) -> None:
+    def _sets(self, life: HostRun, resource: Agent, key: tuple[str, int], number: int) -> None:
         self.started += 1
         (who, block), host = key, life.core.name
         name = who.partition(".")[0]
@@ -196,7 +196,7 @@ class BlockChecks:
         ):
             self._breaches.add("begun", (host,), f"{what} began on {resource.id}, and no page says so")
 
-    def _steps(self, life: HostLife, resource: Agent, key: tuple[str, int], number: int) -> None:
+    def _steps(self, life: HostRun, resource: Agent, key: tuple[str, int], number: int) -> None:
         block, piece = self._blocks[key], self._blocks[key].pieces[number]
         name, now = key[0].partition(".")[0], self._now()
         what = f"piece {number} of block {key[1]} of {key[0]} goes on"
@@ -213,12 +213,12 @@ class BlockChecks:
         if piece.generation < barred and now > since + SOON:
             self._outlives(life, f"{what} for start {piece.generation}, and its host bars that")
 
-    def _outlives(self, life: HostLife, found: str) -> None:
+    def _outlives(self, life: HostRun, found: str) -> None:
         self._breaches.add("outlives", (life.core.name,), found)
 
     # --- observations of the machine ------------------------------------------------------------------
 
-    def on_result_durable(self, life: HostLife, key: CallKey) -> None:
+    def on_result_durable(self, life: HostRun, key: CallKey) -> None:
         """The result of a call may be fetched from now on: its host reports it as durable."""
         pages = self._pages(life.core.name)
         if pages is not None and not any(
@@ -231,7 +231,7 @@ class BlockChecks:
             self._breaches.add("told", (life.core.name,), found)
 
 
-def _callers(life: HostLife, resource: Agent, name: str) -> set[int]:
+def _callers(life: HostRun, resource: Agent, name: str) -> set[int]:
     """The starts of an agent that a resource serves now."""
     block, machine = resource.block, life.core.machine
     callers = (machine.served_calls.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lfield.replication.transfer.generations import is_recovery
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.vm.agent import Agent
 from lfield.vm.memory.layout import THREAD_ID
 from lfield.vm.memory.threads import threads
@@ -47,7 +47,7 @@ class CallChecks:
         #: The start for which a call began last, by the drawn number of its life and its number.
         self._started_for: dict[tuple[float, float], tuple[str, int]] = {}
 
-    def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
+    def on_output(self, life: HostRun, agent: Agent, text: str) -> None:
         """Handle the output of a program: a word, a life of a coordinator, the number of a call."""
         host = life.core.name
         for line in text.splitlines():
@@ -129,7 +129,7 @@ class CallChecks:
 
     # --- output of resources --------------------------------------------------------------------------
 
-    def _on_start(self, life: HostLife, resource: Agent, who: str, number: int) -> None:
+    def _on_start(self, life: HostRun, resource: Agent, who: str, number: int) -> None:
         self.started += 1
         name = who.partition(".")[0]
         generation, host = _caller(life, resource, name), (life.core.name,)
@@ -156,7 +156,7 @@ class CallChecks:
         self._served[resource.id, who] = max(newest, (generation, number))
 
 
-def _caller(life: HostLife, resource: Agent, name: str) -> int:
+def _caller(life: HostRun, resource: Agent, name: str) -> int:
     """The start of this agent whose call a resource serves: the latest one that has arrived there."""
     block = resource.block
     calls = life.core.machine.served_calls

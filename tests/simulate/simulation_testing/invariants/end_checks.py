@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 from lfield.journal.records import CoordinatorRecord
-from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.simulate.host_fleet import Fleet, HostRun
 from lfield.wire.coordinator_messages import TERMINATED, CoordinatorState, Terminated
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observer_messages import RecoverRequest, RecoverResponse
@@ -52,7 +52,7 @@ class EndChecks:
         for name, disk in fleet.disks.items():
             if name not in members:
                 continue
-            for page in disk.pages():
+            for page in disk.records():
                 if (
                     isinstance(page, CoordinatorRecord)
                     and page.state == "EXITED"
@@ -70,7 +70,7 @@ class EndChecks:
 
     def _check_not_running(self, fleet: Fleet) -> None:
         """Check that a start whose termination is final runs on no host, including its own."""
-        for name, life in fleet.lives.items():
+        for name, life in fleet.runs.items():
             for agent in life.core.machine.agents.values():
                 final, since = self._final.get(agent.id, (0, fleet.now))
                 runs = not agent.frozen and not agent.ended and agent.id in fleet.mission.fenced
@@ -78,7 +78,7 @@ class EndChecks:
                     found = f"{agent.id} runs as start {final}, which has terminated for good"
                     self._breaches.add("terminated", (name,), found)
 
-    def on_host_start(self, life: HostLife) -> None:
+    def on_host_start(self, life: HostRun) -> None:
         """Observe the messages and recoveries of a new process of a host."""
         core, team = life.core, life.core.coordinators
         ordered: list[RecoverRequest] = []
@@ -110,7 +110,7 @@ class EndChecks:
         by_operator.__name__ = "recover"
         tap_calls(core, by_operator)
 
-    def _on_message(self, life: HostLife, host: str, message: Control) -> None:
+    def _on_message(self, life: HostRun, host: str, message: Control) -> None:
         match message:
             case Terminated():
                 self._on_ended(life, message)
@@ -122,22 +122,22 @@ class EndChecks:
         for ended in _ends_of(message):
             self._on_ended(life, ended)
 
-    def _on_ended(self, life: HostLife, ended: Terminated) -> None:
+    def _on_ended(self, life: HostRun, ended: Terminated) -> None:
         if ended.outcome in TERMINATED:
             known = self._received[life.core.incarnation]
             known[ended.agent] = max(known.get(ended.agent, 0), ended.generation)
 
-    def _on_records(self, life: HostLife, records: Iterable[CoordinatorState]) -> None:
+    def _on_records(self, life: HostRun, records: Iterable[CoordinatorState]) -> None:
         for row in records:
             if row.state == "EXITED" and row.outcome:
                 self._on_ended(life, Terminated(row.agent, row.generation, row.outcome, "", row.where))
 
-    def _newest_known(self, life: HostLife, agent: str) -> int:
+    def _newest_known(self, life: HostRun, agent: str) -> int:
         rows = life.core.mobility.known_states()
         ended = (row.generation for row in rows if row.agent == agent and row.outcome in TERMINATED)
         return max([self._received[life.core.incarnation].get(agent, 0), *ended])
 
-    def _on_recovery(self, life: HostLife, agent: str, generation: int, *, by_operator: bool) -> None:
+    def _on_recovery(self, life: HostRun, agent: str, generation: int, *, by_operator: bool) -> None:
         self.check()
         latest, host = self._latest(agent, generation), (life.core.name,)
         final, since = self._final.get(agent, (0, 0.0))

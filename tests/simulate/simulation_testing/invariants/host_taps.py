@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Trap
 from lfield.vm.pending_call import CallKey
@@ -21,41 +21,41 @@ from lfield.wire.reservation_messages import RenewReservation
 class HostObserver(Protocol):
     """An observer. All calls are at the present time, in this life of a host."""
 
-    def on_started(self, life: HostLife, agent: Agent) -> None:
+    def on_started(self, life: HostRun, agent: Agent) -> None:
         """A coordinator was started."""
 
-    def on_transfer(self, life: HostLife, header: Transfer) -> None:
+    def on_transfer(self, life: HostRun, header: Transfer) -> None:
         """A coordinator arrived over a link; its admission is decided now or later."""
 
-    def on_admitted(self, life: HostLife, agent: Agent, *, came: bool) -> None:
+    def on_admitted(self, life: HostRun, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine; `came` over a link, or else from the host's own disk."""
 
-    def on_restored(self, life: HostLife, agent: Agent) -> None:
+    def on_restored(self, life: HostRun, agent: Agent) -> None:
         """A coordinator was put into the machine from the host's own disk."""
 
-    def on_resumed(self, life: HostLife, agent: Agent, kind: str) -> None:
+    def on_resumed(self, life: HostRun, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again."""
 
-    def on_sent(self, life: HostLife, header: Transfer, target: str, incarnation: int) -> None:
+    def on_sent(self, life: HostRun, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent to another host, in that life of it; 0 if there was no link."""
 
-    def on_step(self, life: HostLife) -> None:
+    def on_step(self, life: HostRun) -> None:
         """The host has done all pending work."""
 
-    def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
+    def on_output(self, life: HostRun, agent: Agent, text: str) -> None:
         """A program has written text."""
 
-    def on_result_durable(self, life: HostLife, key: CallKey) -> None:
+    def on_result_durable(self, life: HostRun, key: CallKey) -> None:
         """The machine is informed that the result of a call is durable."""
 
-    def on_granted(self, life: HostLife, agent: Agent, resource: TeamMember, number: int) -> None:
+    def on_granted(self, life: HostRun, agent: Agent, resource: TeamMember, number: int) -> None:
         """A coordinator has reserved a resource here, with that number."""
 
     def on_dropped(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
         """A coordinator has released its reservations."""
 
     def on_reserved_call(
-        self, life: HostLife, agent: Agent, resource: TeamMember, number: int, *, lost: bool
+        self, life: HostRun, agent: Agent, resource: TeamMember, number: int, *, lost: bool
     ) -> None:
         """A coordinator calls a resource with its reservation number: it is served, or has lost it."""
 
@@ -63,7 +63,7 @@ class HostObserver(Protocol):
         """A host receives a renewal by the holder of one of its resources."""
 
 
-def tap(life: HostLife, observer: HostObserver) -> None:
+def tap(life: HostRun, observer: HostObserver) -> None:
     """Let an observer see all events of one life."""
     core, machine, peers = life.core, life.core.machine, life.host.peers
     coming: list[Transfer] = []
@@ -122,7 +122,7 @@ def tap(life: HostLife, observer: HostObserver) -> None:
     _tap_reservations(life, observer)
 
 
-def _tap_steps(life: HostLife, observer: HostObserver) -> None:
+def _tap_steps(life: HostRun, observer: HostObserver) -> None:
     def run(go: Callable[[], float | None]) -> float | None:
         pause = go()
         observer.on_step(life)
@@ -131,7 +131,7 @@ def _tap_steps(life: HostLife, observer: HostObserver) -> None:
     tap_calls(life.core, run)
 
 
-def tap_meter(life: HostLife, computed: Callable[[HostLife], None]) -> None:
+def tap_meter(life: HostRun, computed: Callable[[HostRun], None]) -> None:
     """Let an observer know when the machine of a life has run an agent."""
     charge = life.core.machine.hooks.meter
 
@@ -143,7 +143,7 @@ def tap_meter(life: HostLife, computed: Callable[[HostLife], None]) -> None:
     life.core.machine.hooks.meter = meter
 
 
-def _tap_reservations(life: HostLife, observer: HostObserver) -> None:
+def _tap_reservations(life: HostRun, observer: HostObserver) -> None:
     core = life.core
 
     def acquire_reservation(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from lfield.mission.mission import Mission
 from lfield.simulate.hardware import Hardware
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.vm.agent import Agent
 from lfield.wire.observer_messages import EmergencyStopResult
 from simulation_testing.invariants.breaches import Breaches
@@ -81,13 +81,13 @@ class OrderChecks:
 
     # --- observations ---------------------------------------------------------------------------------
 
-    def on_computed(self, life: HostLife) -> None:
+    def on_computed(self, life: HostRun) -> None:
         """The machine of a host has run an agent."""
         host = life.core.name
         if ("pause", host) in self._held:
             self._breaches.add("pause", (host,), "an agent runs, and its host has confirmed a pause")
 
-    def on_running(self, life: HostLife, agent: Agent) -> None:
+    def on_running(self, life: HostRun, agent: Agent) -> None:
         """A coordinator can run on a host."""
         host = life.core.name
         if agent.generation <= self._given_up.get((host, agent.id), 0):

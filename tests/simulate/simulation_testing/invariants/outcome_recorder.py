@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from lfield.simulate.computers.event_queue import EventQueue
-from lfield.simulate.host_fleet import Fleet, HostLife, copies
+from lfield.simulate.host_fleet import Fleet, HostRun, copies
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.pending_call import CallKey
 from lfield.wire.coordinator_messages import Transfer
@@ -28,7 +28,7 @@ class OutcomeRecorder:
         self._timeline: EventQueue
         self._events: list[tuple[str, str, str]] = []
 
-    def on_host_start(self, name: str, life: HostLife) -> None:
+    def on_host_start(self, name: str, life: HostRun) -> None:
         """A host's process begins."""
         self._timeline = life.process.loop.machine.timeline
         self._add(name, "boot")
@@ -50,41 +50,41 @@ class OutcomeRecorder:
 
     # --- events of `tap` --------------------------------------------------------------------------------
 
-    def on_started(self, life: HostLife, agent: Agent) -> None:
+    def on_started(self, life: HostRun, agent: Agent) -> None:
         """A coordinator was started."""
         self._add(life.core.name, "start", agent.id, agent.generation)
 
-    def on_transfer(self, life: HostLife, header: Transfer) -> None:
+    def on_transfer(self, life: HostRun, header: Transfer) -> None:
         """Not recorded: `on_admitted` is recorded."""
 
-    def on_admitted(self, life: HostLife, agent: Agent, *, came: bool) -> None:
+    def on_admitted(self, life: HostRun, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine."""
         self._add(life.core.name, "admit", agent.id, agent.generation, agent.sequence, came)
 
-    def on_restored(self, life: HostLife, agent: Agent) -> None:
+    def on_restored(self, life: HostRun, agent: Agent) -> None:
         """A coordinator was put into the machine from the host's own disk."""
         self._add(life.core.name, "restore", agent.id, agent.generation, agent.sequence)
 
-    def on_resumed(self, life: HostLife, agent: Agent, kind: str) -> None:
+    def on_resumed(self, life: HostRun, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again, with an exception of this kind."""
         self._add(life.core.name, "resume", agent.id, agent.generation, kind)
 
-    def on_sent(self, life: HostLife, header: Transfer, target: str, incarnation: int) -> None:
+    def on_sent(self, life: HostRun, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent to another host."""
         self._add(life.core.name, "send", header.agent, header.generation, header.sequence, target)
 
-    def on_step(self, life: HostLife) -> None:
+    def on_step(self, life: HostRun) -> None:
         """Not recorded: the number of steps is internal."""
 
-    def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
+    def on_output(self, life: HostRun, agent: Agent, text: str) -> None:
         """A program has written text."""
         for line in text.splitlines():
             self._add(life.core.name, "output", agent.id, _without_message(line))
 
-    def on_result_durable(self, life: HostLife, key: CallKey) -> None:
+    def on_result_durable(self, life: HostRun, key: CallKey) -> None:
         """Not recorded: it follows from the journal."""
 
-    def on_granted(self, life: HostLife, agent: Agent, resource: TeamMember, number: int) -> None:
+    def on_granted(self, life: HostRun, agent: Agent, resource: TeamMember, number: int) -> None:
         """A coordinator has reserved a resource."""
         self._add(life.core.name, "reserve", agent.id, resource.id)
 
@@ -93,7 +93,7 @@ class OutcomeRecorder:
         self._add("", "release", agent.id, *(resource.id for resource, _ in held))
 
     def on_reserved_call(
-        self, life: HostLife, agent: Agent, resource: TeamMember, number: int, *, lost: bool
+        self, life: HostRun, agent: Agent, resource: TeamMember, number: int, *, lost: bool
     ) -> None:
         """Not recorded: the effect of the call is."""
 
@@ -128,6 +128,6 @@ def _end(fleet: Fleet) -> list[str]:
         f"over {_seconds(fleet.now)}",
         *(f"exit {name} {status}" for name, status in sorted(fleet.left.items())),
         *(f"failed {name}" for name in sorted(fleet.failed)),
-        *(f"gone {name}" for name in sorted(fleet.gone)),
+        *(f"gone {name}" for name in sorted(fleet.lost_hosts)),
         *(f"runs {start} {sorted(hosts)}" for start, hosts in sorted(copies(fleet).items())),
     ]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from lfield.journal.records import CoordinatorRecord, FenceRecord, Record, ReservationRecord
-from lfield.simulate.host_fleet import HostLife
+from lfield.simulate.host_fleet import HostRun
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.memory.layout import THREAD_ID
 from lfield.vm.memory.threads import threads
@@ -75,7 +75,7 @@ class ReservationChecks:
         """Whether a start of an agent has begun any call."""
         return (agent, generation) in self._started_for
 
-    def on_output(self, life: HostLife, agent: Agent, text: list[str]) -> bool:
+    def on_output(self, life: HostRun, agent: Agent, text: list[str]) -> bool:
         """Handle an output line of a program; whether it is about a reservation."""
         match text:
             case ["uses", who, number, how]:
@@ -89,7 +89,7 @@ class ReservationChecks:
 
     # --- observations of the machine ------------------------------------------------------------------
 
-    def on_granted(self, life: HostLife, agent: Agent, resource: TeamMember, number: int) -> None:
+    def on_granted(self, life: HostRun, agent: Agent, resource: TeamMember, number: int) -> None:
         """A coordinator receives the number by which it holds a resource from now on."""
         known, start, host = self._resources[resource.id], (agent.id, agent.generation), (life.core.name,)
         if number <= known.number:
@@ -120,7 +120,7 @@ class ReservationChecks:
                 known.until = 0.0
 
     def on_reserved_call(
-        self, life: HostLife, agent: Agent, resource: TeamMember, number: int, *, lost: bool
+        self, life: HostRun, agent: Agent, resource: TeamMember, number: int, *, lost: bool
     ) -> None:
         """A coordinator with a reservation is served, or has lost it."""
         known, start = self._resources[resource.id], (agent.id, agent.generation)
@@ -166,7 +166,7 @@ class ReservationChecks:
 
     # --- output of resources --------------------------------------------------------------------------
 
-    def _uses(self, life: HostLife, resource: Agent, who: str, number: int, how: str) -> None:
+    def _uses(self, life: HostRun, resource: Agent, who: str, number: int, how: str) -> None:
         self.started[how] += 1
         name, _, drawn = who.partition(".")
         known, host = self._resources[resource.id], (life.core.name,)
@@ -193,7 +193,7 @@ class ReservationChecks:
             found = f"a portal of {resource.id} began for {start} by {mark}, not {known.number}"
             self._breaches.add("stale", host, found)
 
-    def _is_alone(self, life: HostLife, known: _Resource, other: tuple[str, int]) -> bool:
+    def _is_alone(self, life: HostRun, known: _Resource, other: tuple[str, int]) -> bool:
         """True if a resource of a host certainly has an exclusive holder."""
         (agent, generation), now = known.holder, self._now()
         if not agent or agent == other[0] or now >= known.until:
@@ -216,7 +216,7 @@ def _is_over(page: Record, agent: str, generation: int) -> bool:
     return False
 
 
-def _callers(life: HostLife, resource: Agent) -> dict[str, set[int]]:
+def _callers(life: HostRun, resource: Agent) -> dict[str, set[int]]:
     """The agents that a resource serves now, each with its starts."""
     block, machine = resource.block, life.core.machine
     found: dict[str, set[int]] = {}

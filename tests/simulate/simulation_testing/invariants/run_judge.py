@@ -22,7 +22,7 @@ from functools import partial
 
 from lfield.journal.records import CoordinatorRecord, FenceRecord, Record
 from lfield.replication.transfer.generations import is_recovery
-from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.simulate.host_fleet import Fleet, HostRun
 from lfield.text.log_messages import AGENT_LOST
 from lfield.vm.agent import Agent
 from lfield.wire.coordinator_messages import Transfer
@@ -54,9 +54,9 @@ class _StartRecord:
     """
 
     first: float
-    holders: set[HostLife] = field(default_factory=set)
-    running: set[HostLife] = field(default_factory=set)
-    knew: set[HostLife] = field(default_factory=set)
+    holders: set[HostRun] = field(default_factory=set)
+    running: set[HostRun] = field(default_factory=set)
+    knew: set[HostRun] = field(default_factory=set)
     #: The hosts that may have the start, each with its memory; the host of its arrival, until it is durable
     #: there.
     places: dict[str, int] = field(default_factory=dict)
@@ -101,15 +101,15 @@ class RunJudge:
         self._void: set[Start] = set()
         self._injected: set[tuple[str, int, int]] = set()
         #: The starts that a life has found on its disk and that have not left since.
-        self._kept: set[tuple[HostLife, Start]] = set()
-        self._agents: defaultdict[HostLife, list[Agent]] = defaultdict(list)
-        self._lives: dict[int, HostLife] = {}
+        self._kept: set[tuple[HostRun, Start]] = set()
+        self._agents: defaultdict[HostRun, list[Agent]] = defaultdict(list)
+        self._lives: dict[int, HostRun] = {}
         #: The disk with which each life has begun, for peers that identify the memory by the life.
         self._memories: dict[int, int] = {}
         self._disks_of: dict[str, int] = {}
         self._log_position = 0
 
-    def on_host_start(self, name: str, life: HostLife) -> None:
+    def on_host_start(self, name: str, life: HostRun) -> None:
         """A host's process begins."""
         memory = life.host.journal_writer.journal_id
         self._lives[life.core.incarnation], self._memories[life.core.incarnation] = life, memory
@@ -138,7 +138,7 @@ class RunJudge:
 
     # --- observations: copies ---------------------------------------------------------------------------
 
-    def on_started(self, life: HostLife, agent: Agent) -> None:
+    def on_started(self, life: HostRun, agent: Agent) -> None:
         """A coordinator was started: check its number."""
         self.counts["starts"] += 1
         newest = self._newest.get(agent.id, 0)
@@ -147,7 +147,7 @@ class RunJudge:
         self._newest[agent.id] = max(newest, agent.generation)
         self._held(life, agent)
 
-    def _again(self, life: HostLife, agent: Agent, newest: int) -> None:
+    def _again(self, life: HostRun, agent: Agent, newest: int) -> None:
         """Check a repeated number: it is permitted if the start had made no call, or is inactive."""
         before = self._starts.get(start := (agent.id, agent.generation))
         begun = any(of(*start) for of in (self._calls.has_any, self._blocks.has_any, self.reserved.has_any))
@@ -165,13 +165,13 @@ class RunJudge:
         knew = {life for seen in own for life in seen.knew}
         return any(not life.process.loop.dead and life.core.name != home for life in knew)
 
-    def on_transfer(self, life: HostLife, header: Transfer) -> None:
+    def on_transfer(self, life: HostRun, header: Transfer) -> None:
         """A coordinator has arrived at a host, which knows that start from now on."""
         seen = self._starts.get((header.agent, header.generation))
         if seen is not None and header.receiver_memory == life.core.hello().state_id:
             seen.knew.add(life)
 
-    def on_admitted(self, life: HostLife, agent: Agent, *, came: bool) -> None:
+    def on_admitted(self, life: HostRun, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into a machine."""
         transfer = agent.id, agent.generation, agent.sequence
         if came:
@@ -184,23 +184,23 @@ class RunJudge:
         seen = self._starts[transfer[:2]]
         seen.places, seen.unsaved = before | seen.places, life.core.name
 
-    def on_restored(self, life: HostLife, agent: Agent) -> None:
+    def on_restored(self, life: HostRun, agent: Agent) -> None:
         """A host has found a coordinator on its own disk."""
         self._kept.add((life, (agent.id, agent.generation)))
 
-    def _continues_from_disk(self, life: HostLife, start: Start) -> None:
+    def _continues_from_disk(self, life: HostRun, start: Start) -> None:
         """A restored start continues: the failures of calls that were reported to it may be lost."""
         if (life, start) not in self._kept:
             return
         self._kept.discard((life, start))
         self._calls.on_resumed_from_disk(start[0])
 
-    def on_resumed(self, life: HostLife, agent: Agent, kind: str) -> None:
+    def on_resumed(self, life: HostRun, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again, with this exception: the receiver does not have it."""
         self._continues_from_disk(life, (agent.id, agent.generation))
         self._held(life, agent)
 
-    def _held(self, life: HostLife, agent: Agent) -> None:
+    def _held(self, life: HostRun, agent: Agent) -> None:
         seen = self._starts.setdefault((agent.id, agent.generation), _StartRecord(self.fleet.now))
         self._observe_recovery(agent)
         seen.holders, seen.copy = {life}, agent
@@ -216,7 +216,7 @@ class RunJudge:
             self.counts["recoveries"] += agent.generation not in gone_on
             gone_on.setdefault(agent.generation, self.fleet.now)
 
-    def on_sent(self, life: HostLife, header: Transfer, target: str, incarnation: int) -> None:
+    def on_sent(self, life: HostRun, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent: the receiver may have it now."""
         receiver, seen = self._lives.get(incarnation), self._starts.get((header.agent, header.generation))
         self._continues_from_disk(life, (header.agent, header.generation))
@@ -229,12 +229,12 @@ class RunJudge:
         """Whether a host has always had one memory."""
         return self.fleet.options.keeps and name not in self.fleet.replaced
 
-    def on_step(self, life: HostLife) -> None:
+    def on_step(self, life: HostRun) -> None:
         """Observe the coordinators that can run on an idle host."""
         if life in self._agents:
             self._check_host(life)
 
-    def _check_host(self, life: HostLife) -> None:
+    def _check_host(self, life: HostRun) -> None:
         held = life.core.machine.agents
         here = [a for a in self._agents[life] if not a.ended and (not a.frozen or held.get(a.id) is a)]
         run = [agent for agent in here if not agent.frozen]
@@ -248,7 +248,7 @@ class RunJudge:
             self._runs(life, (agent.id, agent.generation))
         self._agents[life] = here
 
-    def _runs(self, life: HostLife, start: Start) -> None:
+    def _runs(self, life: HostRun, start: Start) -> None:
         running = self._starts[start].running
         running.add(life)
         if len(running) > 1:
@@ -257,7 +257,7 @@ class RunJudge:
             hosts = tuple(sorted(other.core.name for other in running))
             self._breach("I1", hosts, f"{start[0]} of start {start[1]} can run on {len(hosts)} hosts")
 
-    def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
+    def on_output(self, life: HostRun, agent: Agent, text: str) -> None:
         """A program has written text."""
         for line in text.splitlines():
             if self._blocks.on_output(life, agent, line.split()) or " also failed: " in line:
@@ -275,7 +275,7 @@ class RunJudge:
         return (agent, generation) if agent else self.reserved.caller_of(arguments)
 
     def _on_disk(self, name: str) -> list[Record] | None:
-        return self.fleet.disks[name].pages() if self.fleet.options.keeps else None
+        return self.fleet.disks[name].records() if self.fleet.options.keeps else None
 
     # --- observations: devices and logs -----------------------------------------------------------------
 
@@ -295,7 +295,7 @@ class RunJudge:
     def _disks(self) -> None:
         latest = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
         going = [(agent, start) for agent, start in latest if not self.orders.is_given_up(agent, start)]
-        kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.pages()]
+        kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.records()]
         for name, page in kept:
             self._is_saved(name, page)
         self._blocks.check_disks(kept)
@@ -326,12 +326,12 @@ class RunJudge:
         places = self._starts[start].places
         if any(self._lost(name, memory) for name, memory in places.items()):
             return True
-        last = last_location(start, (page for disk in self.fleet.disks.values() for page in disk.pages()))
+        last = last_location(start, (page for disk in self.fleet.disks.values() for page in disk.records()))
         # It is unknown whether the transfer was sent.
         return last is not None and last.state == "PREPARED" and self._lost(last.target, last.receiver_memory)
 
     def _lost(self, name: str, memory: int) -> bool:
-        wrecked = name in self.fleet.gone and not self.fleet.mission.fenced
+        wrecked = name in self.fleet.lost_hosts and not self.fleet.mission.fenced
         return wrecked or self.fleet.disks[name].identity != self._memories.get(memory, memory)
 
     def _line(self, at: float, host: str, text: str) -> None:
@@ -350,7 +350,7 @@ class RunJudge:
 
     def on_settled(self) -> None:
         """The faults have been over for so long that every host must be reached."""
-        self._calls.settled = not self.fleet.gone
+        self._calls.settled = not self.fleet.lost_hosts
 
     def on_healed(self) -> None:
         """The faults are over: from now on all coordinators must make progress."""
@@ -376,14 +376,14 @@ class RunJudge:
             return is_shadowed(agent, self.fleet.pages_left)
         if generation := self._latest(agent):
             start = agent, generation
-            if self.fleet.gone and self._in_doubt(start):
+            if self.fleet.lost_hosts and self._in_doubt(start):
                 return self.orders.acted and is_shadowed(agent, self.fleet.pages_left)
             if self.fleet.options.keeps:
                 return not self._in_doubt(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)
         name = self._homes[agent]
         # A new start waits for all others except those that an operator has declared lost.
-        return name in self.fleet.lives and (self._keeps_memory(name) or not self.fleet.left)
+        return name in self.fleet.runs and (self._keeps_memory(name) or not self.fleet.left)
 
     def end(self) -> None:
         """The end of the run: a coordinator without progress is stuck."""

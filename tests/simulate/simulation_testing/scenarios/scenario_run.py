@@ -14,7 +14,7 @@ from lfield.host.recording.recording_target import RecordingTarget
 from lfield.mission.bindings import MAX_MEMBERS
 from lfield.replication.transfer.transfer_sender import MIN_DOUBT_TIME
 from lfield.simulate.computers.event_queue import TooManyEvents
-from lfield.simulate.host_fleet import Fleet, FleetOptions, HostLife
+from lfield.simulate.host_fleet import Fleet, FleetOptions, HostRun
 from simulation_testing.fault_injection import FaultInjector
 from simulation_testing.invariants.breaches import Breach
 from simulation_testing.invariants.outcome_recorder import OutcomeRecorder
@@ -71,7 +71,7 @@ def run_scenario(
 def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bool) -> RunVerdict:
     judge, outcome = RunJudge(), OutcomeRecorder()
 
-    def born(name: str, life: HostLife) -> None:
+    def born(name: str, life: HostRun) -> None:
         judge.on_host_start(name, life)
         outcome.on_host_start(name, life)
 
@@ -89,7 +89,7 @@ def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bo
     )
     for disk in fleet.disks.values():
         disk.sync = story.sync
-    fleet.timeline.most = MAX_EVENTS
+    fleet.timeline.max_events = MAX_EVENTS
     storm = FaultInjector(fleet, story.forecast, judge.orders)
     # A guard without a host writes to the terminal.
     with contextlib.redirect_stderr(io.StringIO()):

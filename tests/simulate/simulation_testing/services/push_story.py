@@ -143,7 +143,7 @@ def run_push_story(story: PushStory, *, keep_log: bool = False) -> PushVerdict:
 
 def _judged_run(story: PushStory, *, keep_log: bool) -> PushVerdict:
     fleet = ServiceFleet(story.robots, story.seed)
-    fleet.timeline.most = MAX_EVENTS
+    fleet.timeline.max_events = MAX_EVENTS
     with contextlib.redirect_stderr(io.StringIO()):
         _happen(fleet, story)
         seconds = fleet.now

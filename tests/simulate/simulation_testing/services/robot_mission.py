@@ -114,7 +114,7 @@ class RobotMission:
     def move(self, agent: str, bundle: bytes, network: SimulatedNetwork) -> None:
         """A coordinator moves to another robot whose host runs and does not rest."""
         there = self._team[self.rng.choice(sorted(self._team))]
-        reachable = not network.paths.silences(self.robot, there.robot) and there.computer.machine.on
+        reachable = not network.paths.silences(self.robot, there.robot) and there.computer.machine.is_on
         host = there.host
         if there is self or not reachable or there.rests or host is None or host.bundle != bundle:
             return
@@ -125,7 +125,7 @@ class RobotMission:
         """Other robots report which coordinators have ended there, or have returned."""
         for agent, place in list(self.unfinished.items()):
             there = self._team[place]
-            if there is self or network.paths.silences(self.robot, place) or not there.computer.machine.on:
+            if there is self or network.paths.silences(self.robot, place) or not there.computer.machine.is_on:
                 continue
             if (known := there.unfinished.get(agent)) is None:
                 del self.unfinished[agent]

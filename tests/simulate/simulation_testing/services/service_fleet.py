@@ -134,7 +134,7 @@ class ServiceFleet:
     def start_service(self, name: str) -> None:
         """Start the service of a robot that is on, unless it runs."""
         computer = self.computers[name]
-        if name in self.services or not computer.machine.on:
+        if name in self.services or not computer.machine.is_on:
             return
         process = self.services[name] = computer.start()
         process.await_end(partial(self._on_service_end, name, process))
@@ -159,7 +159,7 @@ class ServiceFleet:
 
     def power_on(self, name: str) -> None:
         """A robot has power again."""
-        if not self.computers[name].machine.on:
+        if not self.computers[name].machine.is_on:
             self.computers[name].power_on()
             self.start_service(name)
 

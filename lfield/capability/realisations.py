@@ -1,7 +1,8 @@
 """The realisations of a primitive, and the field of each in its class in L.
 
-The class that the compiler makes for a primitive (class_generator.py) has one field for every way; in an
-offer only the fields of its own way are filled. The compiler and the machine use the names of this module.
+The class that the compiler makes for a primitive (class_generator.py) has one field for every realisation; in
+an offer only the fields of its own realisation are filled. The compiler and the machine use the names of this
+module.
 """
 
 from __future__ import annotations
