@@ -114,14 +114,14 @@ def test_an_invalid_value_is_unknown_with_the_reason(sampler, guards, source, re
 
 
 def test_an_agent_has_the_troubles_of_its_devices_and_its_own(sampler, guards):
-    assert sampler.condition("arm", {}).trouble is None
+    assert sampler.condition("arm", {}).unavailability is None
     guards.troubles["other.hand"] = Unavailability("not ours")
-    assert sampler.condition("arm", {}).trouble is None
+    assert sampler.condition("arm", {}).unavailability is None
     guards.troubles["arm.hand"] = Unavailability("hand: no message", 1.0)
-    assert sampler.condition("arm", {}).trouble == Unavailability("hand: no message", 1.0)
+    assert sampler.condition("arm", {}).unavailability == Unavailability("hand: no message", 1.0)
     sampler._agents["arm"].ended, sampler._agents["arm"].report = "died", "Exception: no\n  at arm"
-    assert sampler.condition("arm", {}).trouble == Unavailability("died of Exception: no")
-    assert sampler.condition("gone", {}).trouble == Unavailability("its host does not run it")
+    assert sampler.condition("arm", {}).unavailability == Unavailability("died of Exception: no")
+    assert sampler.condition("gone", {}).unavailability == Unavailability("its host does not run it")
 
 
 # --- guards ----------------------------------------------------------------------------------------------

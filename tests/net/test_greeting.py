@@ -183,7 +183,7 @@ def test_a_person_with_an_expired_certificate_may_only_observe_and_stop():
     assert refused(observing(person(*ALL_RIGHTS), verdict), STOP) == ""
     assert refused(observing(person(*ALL_RIGHTS), verdict), Subscribe(once=True)) == ""
     why = refused(observing(person(*ALL_RIGHTS), verdict), LIFT)
-    assert why == f"{verdict.why}; until then anna may only observe and stop"
+    assert why == f"{verdict.reason}; until then anna may only observe and stop"
 
 
 BATCH = EventBatch(7, 1, 0.0, 0.0, 0, 0, [])

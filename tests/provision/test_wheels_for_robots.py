@@ -113,12 +113,12 @@ class Index:
     def __init__(self, *missing: str) -> None:
         self.missing, self.requests = set(missing), 0
 
-    async def download(self, *words: str, what: str) -> None:
+    async def download(self, *words: str, operation: str) -> None:
         self.requests += 1
         folder, lock = Path(words[words.index("-d") + 1]), Path(words[words.index("-r") + 1])
         pins = read_lock(lock.read_text(), "")
         if names(pins) & self.missing:
-            raise ProvisionError("", f"{what}: no matching distribution")
+            raise ProvisionError("", f"{operation}: no matching distribution")
         for pin in pins:
             (folder / f"{pin.name.replace('-', '_')}-{pin.version}-py3-none-any.whl").write_text(pin.name)
 

@@ -143,7 +143,7 @@ def check_new(body: BodyContext, raw: syntax.New, arguments: list[tree.Expr]) ->
         unit, name = body.symbols.unit_of(kind), MAP_CONSTRUCTOR
     if unit is None or kind is UNKNOWN:
         if kind is not UNKNOWN:
-            body.report(messages.NEW_TYPE, place, operands=name)
+            body.report(messages.NEW_TYPE, place, given=name)
         return unknown(raw.span)
     constructor = _chosen(body, place, unit.overloads(name, "constructor"), arguments)
     return unknown(raw.span) if constructor is None else tree.New(raw.span, kind, *constructor)
@@ -326,7 +326,7 @@ def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit
         return
     known = method_names(body, kind, unit)
     if not known and unit is None:
-        body.report(messages.NO_MEMBERS, place, operands=with_article(kind))
+        body.report(messages.NO_MEMBERS, place, given=with_article(kind))
         return
     member_kind = {ResourceType: "portal", DeviceType: "instruction"}.get(type(kind), "method")
     listing = choice(name, known, "it has") if known else f"it has no {member_kind}s"

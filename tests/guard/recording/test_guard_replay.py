@@ -64,7 +64,7 @@ def test_first_difference_has_time_input_and_both_decisions(tmp_path, monkeypatc
     result = replay_guard(paths)
     assert result.first.path == paths[0]
     # The first input is BusOpened, which does not use the changed method.
-    assert (result.first.time, result.first.given[:12], result.first.replayed[:7]) == (
+    assert (result.first.time, result.first.input[:12], result.first.replayed[:7]) == (
         1000.0,
         "CallReceived",
         "Exit(3)",
@@ -83,7 +83,7 @@ def test_changed_state_is_found_at_the_next_segment(tmp_path, monkeypatch):
     monkeypatch.setattr(GuardCore, "clear_stop", lambda core: [])
     result = replay_guard(paths)
     assert result.differences == 1
-    assert result.first.given == f"the state at the start of {paths[-1].name}"
+    assert result.first.input == f"the state at the start of {paths[-1].name}"
 
 
 def test_call_accepted_in_one_segment_may_start_in_the_next(tmp_path):
@@ -261,4 +261,4 @@ def test_heartbeats_of_a_real_clock_share_one_record():
 def test_recorded_call_keeps_its_argument_types():
     call = GuardCall(1, "a.arm", "go", [1, 1.0, True, "x", [1.0]], 0.1, float("inf"))
     record = decode_record(framed(InputRecord(0.1, inputs.CallReceived(call)))[8:])
-    assert repr(record.given.call) == repr(call)
+    assert repr(record.input.call) == repr(call)

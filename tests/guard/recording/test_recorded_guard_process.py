@@ -23,7 +23,7 @@ pytestmark = pytest.mark.process
 def finished_calls(folder):
     """The tokens of the calls whose results are on the disk."""
     records = [record for paths in rings_in(folder).values() for record in read_segment(paths[-1]).records]
-    events = [record.given for record in records if isinstance(record, InputRecord)]
+    events = [record.input for record in records if isinstance(record, InputRecord)]
     return [event.token for event in events if isinstance(event, inputs.CallFinished)]
 
 

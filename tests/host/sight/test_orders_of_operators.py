@@ -66,7 +66,7 @@ async def operated(fleet, mission, asked=None, dialled=None):
 
     follower = EventFollower(transport, reach.hosts, reach, shown, LoopClock())
     shown.actions = TeamActions(
-        TeamConnection(transport, reach), shown, ask, standing=follower.order, run_in_thread=at_once
+        TeamConnection(transport, reach), shown, ask, open_links=follower.order, run_in_thread=at_once
     )
     task = asyncio.create_task(follower.run())
     try:

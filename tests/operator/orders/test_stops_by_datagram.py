@@ -21,7 +21,7 @@ from lfield.simulate.jumping_loop import run_jumping
 from lfield.wire.observer_messages import EmergencyStopResult
 
 
-def given(network, request=None, desk=None, standing=None):
+def given(network, request=None, desk=None, open_links=None):
     """The answer of each host to an order, and the time of each answer (s)."""
     took = {}
 
@@ -32,7 +32,7 @@ def given(network, request=None, desk=None, standing=None):
             network.addresses,
             request or emergency_stop("fire"),
             sender=desk or network.sender(),
-            open_link=standing,
+            open_link=open_links,
             on_answer=lambda host, answer: took.setdefault(host, network.now - began),
         )
 
@@ -223,7 +223,7 @@ def standing_of(network, after):
 def test_an_open_connection_answers_first_and_no_other_is_made():
     network = Network(3)
     network.udp = lambda host: False
-    answers, took = given(network, standing=standing_of(network, 0.4))
+    answers, took = given(network, open_links=standing_of(network, 0.4))
     assert all_confirmed(network, answers)
     assert list(took.values()) == [pytest.approx(0.4)] * 3
     assert not network.dialled
@@ -233,7 +233,7 @@ def test_a_new_connection_replaces_a_lost_or_silent_one():
     for after in (-0.3, 60.0):
         network = Network(1)
         network.udp = lambda host: False
-        answers, took = given(network, standing=standing_of(network, after))
+        answers, took = given(network, open_links=standing_of(network, after))
         assert all_confirmed(network, answers)
         assert took["h1"] <= 2.0
         assert len(network.dialled) == 1

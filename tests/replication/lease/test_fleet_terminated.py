@@ -55,7 +55,7 @@ def judged(mission: Mission, seed: int = 1, lost_after: float | None = None) -> 
     fleet: Fleet
 
     def newest_start(agent: str, below: int) -> int:
-        rows = (row for life in fleet.lives.values() for row in life.core.mobility.known_states())
+        rows = (row for life in fleet.runs.values() for row in life.core.mobility.known_states())
         return max((row.generation for row in rows if row.generation < below), default=0)
 
     breaches = Breaches(lambda: fleet.now)
@@ -73,7 +73,7 @@ def states(fleet: Fleet) -> dict[str, list[tuple[int, str, str]]]:
     """The start, state and outcome of boss on each running host."""
     return {
         name: [(row.generation, row.state, row.outcome) for row in life.core.mobility.known_states()]
-        for name, life in fleet.lives.items()
+        for name, life in fleet.runs.items()
     }
 
 
@@ -97,7 +97,7 @@ def test_a_coordinator_whose_end_a_third_host_knows_is_not_recovered(tmp_path: P
     assert [where for _, where, _ in log_lines(fleet, "turned 1")] == ["b"]
     assert not log_lines(fleet, "recovered")
     assert not log_lines(fleet, "turned 2")
-    for life in fleet.lives.values():
+    for life in fleet.runs.values():
         (row,) = life.core.mobility.known_states()
         assert (row.agent, row.state, row.outcome, row.where) == ("boss", "EXITED", end, "b")
 
@@ -205,7 +205,7 @@ def test_with_until_done_a_host_waits_until_the_end_is_final(tmp_path: Path) -> 
     assert log_lines(
         fleet, "end of boss not final: no majority of the members has stored it; b waits for this majority"
     )
-    assert "b" in fleet.lives
+    assert "b" in fleet.runs
     fleet.heal_all()
     fleet.run(20.0)
     assert not breaches
@@ -224,12 +224,12 @@ def test_an_operator_cannot_recover_an_ended_coordinator(tmp_path: Path) -> None
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.8)
     fleet.cut("a", "b")
-    row = fleet.lives["a"].core.mobility.recoverable_state("boss")
+    row = fleet.runs["a"].core.mobility.recoverable_state("boss")
     assert row is not None
     request = RecoverRequest("boss", row.generation, row.sequence, row.generation)
     run_until_ended(fleet)
     fleet.run(1.0)
-    answer = fleet.lives["a"].core.recover(request)
+    answer = fleet.runs["a"].core.recover(request)
     assert (answer.generation, "boss has ended on b (done)" in answer.reason) == (0, True)
     assert not breaches
 
@@ -239,11 +239,11 @@ def test_an_operator_cannot_recover_under_leases_without_a_majority(tmp_path: Pa
     fleet.run(0.8)
     for other in "bc":
         fleet.cut("a", other)
-    row = fleet.lives["a"].core.mobility.recoverable_state("boss")
+    row = fleet.runs["a"].core.mobility.recoverable_state("boss")
     assert row is not None
     fleet.run(3.0)
     request = RecoverRequest("boss", row.generation, row.sequence, row.generation)
-    answer = fleet.lives["a"].core.recover(request)
+    answer = fleet.runs["a"].core.recover(request)
     assert (answer.generation, "no majority of the members responds to a" in answer.reason) == (0, True)
 
 
@@ -269,7 +269,7 @@ def test_a_final_end_stays_final_under_random_cuts(tmp_path: Path, seed: int) ->
     dice = random.Random(seed)
     team = TEAM + "".join(f"//@{name}\n" for name in "de"[: dice.randrange(3)])
     fleet, breaches = judged(mission(tmp_path, team=team), seed)
-    names = sorted(fleet.lives)
+    names = sorted(fleet.runs)
     fleet.run(dice.uniform(0.3, 1.6))
     for _ in range(6):
         one, other = dice.sample(names, 2)
