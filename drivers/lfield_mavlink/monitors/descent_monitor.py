@@ -49,8 +49,8 @@ SILENT = 10.0
 _FALLS = re.compile(
     r"potential thrust loss|motor failure|attitude failure|critical failure detected|flight termination", re.I
 )
-#: Messages that may still show the motors on after that text: heartbeats and extended states.
-SHOWN = 4
+#: The number of messages (heartbeats and extended states) after that text that may still show the motors on.
+STALE_MESSAGES = 4
 _CRASHES = re.compile(r"^crash|crash: disarming", re.I)
 #: Texts that only prevent arming.
 _BEFORE = re.compile(r"^(preflight|prearm|arm)\b", re.I)
@@ -202,7 +202,7 @@ class DescentMonitor:
         if not self._armed and not self._motors_off_at > -math.inf:
             return None
         if _CRASHES.search(text):
-            self._disarms = SHOWN if self._armed and "disarm" in text.lower() else 0
+            self._disarms = STALE_MESSAGES if self._armed and "disarm" in text.lower() else 0
             return self._crash(f"the autopilot says: {text}")
         if _FALLS.search(text) and not _BEFORE.search(text):
             return self._falls(f"the autopilot says: {text}")
