@@ -49,9 +49,9 @@ SILENT = 10.0
 _FALLS = re.compile(
     r"potential thrust loss|motor failure|attitude failure|critical failure detected|flight termination", re.I
 )
-#: The number of messages (heartbeats and extended states) after that text that may still show the motors on.
-STALE_MESSAGES = 4
 _CRASHES = re.compile(r"^crash|crash: disarming", re.I)
+#: Maximum number of messages (heartbeats, extended states) after a text of a crash that show the motors on.
+STALE_MESSAGES = 4
 #: Texts that only prevent arming.
 _BEFORE = re.compile(r"^(preflight|prearm|arm)\b", re.I)
 
