@@ -5,6 +5,7 @@ tests/net/paths/test_path_change.py has the cases that need no namespaces.
 
 from __future__ import annotations
 
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -12,8 +13,6 @@ from collections.abc import Iterator
 import pytest
 from namespaces import namespaces  # noqa: F401
 from two_networks import HOSTS, NETWORKS, TwoNetworks
-
-from lfield.net.health.link_heartbeats import SUSPECT_AFTER
 
 pytestmark = pytest.mark.process
 
@@ -48,11 +47,11 @@ def test_hops_continue_over_the_other_network_and_are_executed_once(net):
         net.wait_for_stamps(count + STAMPS)
         gap = net.gap(failed, net.stamps()[count + STAMPS - 1][0])
         print(f"{kind.__name__} {NETWORKS[path]} at {host}: no hop for {gap:.2f} s")
-        # One link would not be suspected before this time.
-        assert gap < SUSPECT_AFTER, net.text(failed)
         since = time.monotonic()
         net.up(host, NETWORKS[path]) if kind == net.down else net.drop_none(host)
         path = 1 - path
+    # The standby connection continued each link; test_path_change.py checks the times, in virtual time.
+    assert re.search(r"link to \w+ lost", net.text()) is None
     for host in HOSTS:
         net.hosts[host].end()
     numbers = [number for _, number in net.stamps()]
