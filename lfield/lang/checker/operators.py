@@ -122,4 +122,4 @@ def _string_hint(left: Type, right: Type) -> str | None:
     if isinstance(left, EnumType) or isinstance(right, EnumType):
         return "a member of an enum has its name as text: member.name()"
     function = _TO_STRING.get(left) or _TO_STRING.get(right)
-    return f"make text of the other side: {function}(...)" if function else None
+    return f"convert the other operand to a string: {function}(...)" if function else None
