@@ -51,7 +51,7 @@ COMMANDS = {
     "stop": "stop the mission on all robots in order",
     "service": "run the permanent service of a robot: receives bundles, starts and stops missions",
     "estop": "emergency stop: put every device of a running mission in its safe state",
-    "start": "start the mission on all robots, or coordinators that wait for a missing host",
+    "start": "start the mission on robots with services, or start coordinators that wait for a missing host",
     "pause": "pause a mission and put its devices in their safe states",
     "resume": "resume a paused mission",
     "forget": "end a coordinator that is in doubt, lost or suspended, so that no copy of it continues",
