@@ -172,7 +172,8 @@ class _Parser(argparse.ArgumentParser):
         from lfield.text.suggestions import did_you_mean
 
         for action in self._actions:
-            if isinstance(action.choices, dict) and (name := getattr(args, action.dest, "")) in action.choices:
+            name = getattr(args, action.dest, "")
+            if isinstance(action.choices, dict) and name in action.choices:
                 action.choices[name].refuse(unknown, args)
         options = [option for action in self._actions for option in action.option_strings]
         hint = did_you_mean(unknown[0].partition("=")[0], options)

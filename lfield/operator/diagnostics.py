@@ -256,7 +256,7 @@ def confinement() -> DiagnosticFinding:
         return DiagnosticFinding(
             "confinement",
             "note",
-            f"guards are confined to their devices ({confined}); this kernel cannot confine them in {missing}",
+            f"guards are confined to their devices ({confined}); the kernel cannot confine {missing}",
         )
     return DiagnosticFinding("confinement", "ok", f"guards are confined to their devices ({confined})")
 

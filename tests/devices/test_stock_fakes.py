@@ -60,7 +60,11 @@ def test_bundle_keeps_the_kind_of_a_fake(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("resource", "device", "words"),
     [
-        ("Rover", "Mavlink", "one.d: simulated with kind rover; to change this, bind the device in a devices file"),
+        (
+            "Rover",
+            "Mavlink",
+            "one.d: simulated with kind rover; to change this, bind the device in a devices file",
+        ),
         (
             "Boat",
             "Mavlink",

@@ -333,7 +333,8 @@ def test_attributes_stated_in_two_files_are_reported_by_check(tmp_path):
     assert "is not bound" in unbound.render()
     assert (found.severity, found.render()) == (
         "warning",
-        "warning[bindings]: mass of hoist is stated in the devices file and in the mission's registry, which counts",
+        "warning[bindings]: mass of hoist is stated in the devices file and in the mission's registry, "
+        "which counts",
     )
 
 

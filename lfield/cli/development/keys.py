@@ -90,7 +90,8 @@ def _add_init(init: argparse.ArgumentParser) -> None:
     init.add_argument(
         "--person",
         metavar="NAME",
-        help="also create keys for this person with the rights operate and command, and install them on this computer",
+        help="also create keys for this person with the rights operate and command, and install them on "
+        "this computer",
     )
     _add_days(init, _AUTHORITY_DAYS)
 

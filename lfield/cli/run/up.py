@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--files",
         metavar="DIR",
         type=Path,
-        help="directory of the files that the devices of a bundle need (default: the directory of the bundle)",
+        help="directory of the files that the devices of a bundle need (default: the bundle's directory)",
     )
     parser.add_argument(
         "--sim", action="store_true", help="start a simulated device in place of each real one"

@@ -55,7 +55,9 @@ def _unknown_ids(units: Sequence[tree.Unit], ids: Mapping[str, list[str]]) -> It
 def _unknown_id(span: Span, id: str, resource: str, ids: Mapping[str, list[str]]) -> Iterator[Diagnostic]:
     known = ids.get(resource, [])
     if id not in known:
-        hint = f"ids of type {resource}: {listed(known)}" if known else f"no agent of type {resource} is deployed"
+        hint = f"no agent of type {resource} is deployed"
+        if known:
+            hint = f"ids of type {resource}: {listed(known)}"
         if "," in id:
             hint = f"separate arguments by &: {id.replace(',', '&')}"
         elif actual := next((type for type, names in ids.items() if id in names), None):
