@@ -42,7 +42,7 @@ def unary(body: BodyContext, raw: syntax.Unary, operand: tree.Expr) -> tree.Expr
     if raw.operator == "-" and is_numeric(kind):
         return tree.Negate(raw.span, kind, operand)
     hint = (
-        "! turns a boolean round: did you mean == 0 ?" if raw.operator == "!" and is_numeric(kind) else None
+        "! negates a boolean: did you mean == 0 ?" if raw.operator == "!" and is_numeric(kind) else None
     )
     body.report(messages.OPERAND, raw.span, hint=hint, operator=raw.operator, given=kind)
     return unknown(raw.span)
@@ -107,6 +107,8 @@ def _report_operands(body: BodyContext, raw: syntax.Binary, left: tree.Expr, rig
     hint = None
     if operator in ("&&", "||"):
         hint = "both sides must be boolean: compare them with something"
+    elif operator in _ORDER and BOOLEAN in (left.type, right.type):
+        hint = "join two comparisons: a < b && b < c"
     elif STRING in (left.type, right.type) and operator != "+":
         hint = _NOT_JOINING.get(operator, "of operators only + and comparisons work on text")
     elif STRING in (left.type, right.type) and left.type != right.type:
