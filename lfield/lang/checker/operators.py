@@ -41,9 +41,7 @@ def unary(body: BodyContext, raw: syntax.Unary, operand: tree.Expr) -> tree.Expr
         return tree.Not(raw.span, BOOLEAN, operand)
     if raw.operator == "-" and is_numeric(kind):
         return tree.Negate(raw.span, kind, operand)
-    hint = (
-        "! negates a boolean: did you mean == 0 ?" if raw.operator == "!" and is_numeric(kind) else None
-    )
+    hint = "! negates a boolean: did you mean == 0 ?" if raw.operator == "!" and is_numeric(kind) else None
     body.report(messages.OPERAND, raw.span, hint=hint, operator=raw.operator, given=kind)
     return unknown(raw.span)
 
