@@ -289,10 +289,7 @@ class LinkManager:
         )
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
-        """Whether this host's own dial wins over a crossing dial of time `made_at`.
-
-        An own dial that loses before it is linked is closed.
-        """
+        """Whether this host's own dial wins over a crossing one of time `made_at`; else closes an unlinked one."""
         caller = self._diallers.get(host)
         own = caller.session if caller is not None else None
         if own is None or not own.connected:

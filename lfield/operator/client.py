@@ -74,8 +74,7 @@ PATIENT_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 8.0
 def emergency_stop(
     reason: str, *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
 ) -> Request[EmergencyStopResult]:
-    """The request of an emergency stop, or with `lift` of its end; the answer comes when the devices have
-    confirmed it.
+    """The request of an emergency stop, or with `lift` of its end, answered when the devices have confirmed.
 
     A lift is not retried: another operator may have stopped the team again. `draw` gives random bytes for the
     id of the order.
