@@ -289,7 +289,7 @@ class LinkManager:
         )
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
-        """Whether this host's own dial wins over a crossing one of time `made_at`; else closes an unlinked one."""
+        """Whether this host's own dial wins over a crossing one of time `made_at`; closes one that loses."""
         caller = self._diallers.get(host)
         own = caller.session if caller is not None else None
         if own is None or not own.connected:
