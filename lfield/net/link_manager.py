@@ -161,7 +161,7 @@ class LinkManager:
                 session.link.send(message)
 
     def send_transfer(self, host: str, header: Transfer, block: Buffer) -> None:
-        """Send a coordinator to a host. On a closing link, `unlinked` follows."""
+        """Send a coordinator to a host. On a closing link, `LinkOwner.on_unlinked` follows."""
         session = self._links.get(host)
         if session:
             with suppress(AddressError):
