@@ -58,7 +58,7 @@ def _findings(path: Path) -> list[ReportableFinding]:
     """The findings about a file.
 
     A bundle has the warnings with which it was built. Raises BundleError or ProgramFileError for a compiled
-    file that is not sound, and UsageError for a YAML file.
+    file that is not sound, and UsageError for a file of another kind.
     """
     from lfield.mission import bundle
     from lfield.mission.loader import check_file, load_program, mission_problems
@@ -73,6 +73,9 @@ def _findings(path: Path) -> list[ReportableFinding]:
     if path.suffix == ".lb":
         load_program(path)
         return []
+    # A deployment in a program file would be valid: its lines are comments there.
+    if path.suffix not in (".L", ".dL") and path.is_file():
+        raise UsageError(f"{path} is neither a program (.L, .lb) nor a deployment (.dL) nor a bundle (.lfm)")
     found = list(check_file(path, _hosts_with_keys() if path.suffix == ".dL" else ()))
     program = path.with_suffix(".L")
     if path.suffix == ".dL" and not program.exists():

@@ -164,6 +164,8 @@ def _run_mission(path: Path, args: argparse.Namespace) -> int:
 
     if path.suffix in (".L", ".lb"):
         raise UsageError(f"{path} is a program: name its deployment, {path.with_suffix('.dL')}")
+    if path.suffix not in (".dL", bundle.SUFFIX) and path.is_file():
+        raise UsageError(f"{path} is neither a deployment (.dL) nor a bundle (.lfm)")
     if path.suffix != bundle.SUFFIX:
         return _run_built(path, args)
     if args.program is not None:

@@ -147,6 +147,13 @@ def test_a_directory_in_place_of_a_mission_is_refused(here, command, why):
         assert f"lfield: cannot read {name}: {why}" in "\n".join(done.err)
 
 
+@pytest.mark.parametrize("command", ["check", "build", "up --all"])
+def test_a_file_with_the_suffix_of_no_mission_file_is_refused(lfield, refused, command):
+    # A deployment in a program file would be valid: its lines are comments there.
+    (lfield.folder / "mission.dl").write_text("//Copter:lead@alpha\n")
+    refused(64, "mission.dl is neither a ", *command.split(), "mission.dl")
+
+
 @pytest.mark.parametrize(
     ("command", "what"),
     [
