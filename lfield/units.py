@@ -142,7 +142,7 @@ def conversion(source: str, target: str) -> tuple[float, float] | None:
 
 
 def is_registry_unit(text: str) -> bool:
-    """Whether values of the registry may be in it: SI without prefixes, or one of HOUSE_UNITS."""
+    """Whether values of the registry may be in it: SI without prefixes, or one of EXTRA_UNITS."""
     meant = unit(text)
     if meant is None:
         return False

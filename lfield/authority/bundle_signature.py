@@ -69,7 +69,7 @@ def verify_bundle(digest: bytes, signature: bytes, authority: bytes) -> BundleSi
     """The signer of the bundle with this digest, verified with the CA in a PEM text.
 
     This verifies the signature only; the digests of the parts are checked by `bundle.contents`, the right
-    of the signer by `judge.judged_signer`. Raises SignatureError.
+    of the signer by `verify_signer`. Raises SignatureError.
     """
     if not signature:
         raise SignatureError("it is not signed: sign it with 'lfield sign', with keys that may 'command'")

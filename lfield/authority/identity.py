@@ -98,7 +98,7 @@ def uri_of(kind: Literal["host", "person"], name: str, may: Iterable[Right] = ()
 def identity_of(certificate: Mapping[str, Any]) -> Identity:
     """The identity in a certificate that TLS has verified, from `ssl.SSLSocket.getpeercert()`.
 
-    A certificate with other contents than a CA of lfield writes is a STRANGER; no error is raised.
+    A certificate with other contents than a CA of lfield writes is ANONYMOUS; no error is raised.
     """
     try:
         return from_uris(

@@ -1,4 +1,4 @@
-"""Capabilities: the registry, queries over agents, equivalent and composed offers (DESIGN section 8).
+"""Capabilities: the registry, queries over agents, equivalent and composed offers.
 
 Chapter IV of the thesis lists the primitives; finding equivalent ones was left as future work in chapter V.
 """

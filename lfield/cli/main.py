@@ -51,7 +51,7 @@ COMMANDS = {
     "stop": "stop the mission on all robots in order",
     "service": "run the permanent service of a robot: receives bundles, starts and stops missions",
     "estop": "emergency stop: put every device of a running mission in its safe state",
-    "start": "start the mission on all robots, or coordinators that wait for a missing host",
+    "start": "start the mission on robots with services, or start coordinators that wait for a missing host",
     "pause": "pause a mission and put its devices in their safe states",
     "resume": "resume a paused mission",
     "forget": "end a coordinator that is in doubt, lost or suspended, so that no copy of it continues",
@@ -123,6 +123,8 @@ INTERRUPTIBLE = {
     "provision": ("provision.host_provisioning", "provision.team_keys"),
 }
 _LONE_SURROGATE = re.compile(r"\\u(d[89a-f][0-9a-f]{2})")
+#: The names that ROS 2 and other tools have for a command.
+_OTHER_NAMES = {"run": "up", "launch": "up", "compile": "build", "validate": "check", "format": "fmt"}
 #: The option that may be empty: an emergency stop needs no reason.
 REASON = "--reason"
 
@@ -164,6 +166,29 @@ class _Parser(argparse.ArgumentParser):
                 # Subcommands.
                 found.update(*(each.flags() for each in action.choices.values()))
         return found
+
+    def refuse(self, unknown: Sequence[str], args: argparse.Namespace) -> NoReturn:
+        """Raise UsageError for arguments that the chosen subcommand does not have."""
+        from lfield.text.suggestions import did_you_mean
+
+        for action in self._actions:
+            name = getattr(args, action.dest, "")
+            if isinstance(action.choices, dict) and name in action.choices:
+                action.choices[name].refuse(unknown, args)
+        options = [option for action in self._actions for option in action.option_strings]
+        hint = did_you_mean(unknown[0].partition("=")[0], options)
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{f': {hint}' if hint else ''}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        # argparse names all choices: for a misspelt command that are forty.
+        if action.choices is None or value in action.choices:
+            return
+        from lfield.text.suggestions import MAX_LISTED, did_you_mean
+
+        hint = did_you_mean(_OTHER_NAMES.get(value, value), map(str, action.choices))
+        if hint is None and len([*action.choices]) <= MAX_LISTED:
+            super()._check_value(action, value)
+        raise argparse.ArgumentError(action, f"invalid choice: {value!r}{f': {hint}' if hint else ''}")
 
     def error(self, message: str) -> NoReturn:
         # argparse prints arguments as Python literals.
@@ -279,11 +304,13 @@ def _dispatch(arguments: list[str]) -> int:
             _command(name).add_arguments(subparser)
     _refuse_empty(arguments, parser.flags())
     try:
-        args = _printable_args(parser.parse_args(arguments))
+        args, unknown = parser.parse_known_args(arguments)
     except SystemExit:
         # --help or --version was printed; `main` flushes the output.
         return exit_status.DONE
-    command = _command(args.command)
+    if unknown:
+        parser.refuse(unknown, args)
+    args, command = _printable_args(args), _command(args.command)
     # Until here a Ctrl-C ends the process (lfield/__main__.py).
     if args.command in INTERRUPTIBLE and signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         _import_all(INTERRUPTIBLE[args.command])

@@ -199,7 +199,7 @@ def open_service_desk(
     keys = find_person_keys(folder)
     if keys is None:
         raise KeysError(
-            "there are no keys of yours here: 'lfield keys init --person NAME' makes them, and --keys names "
-            "their directory"
+            "no keys of yours on this computer: create them with 'lfield keys init --person NAME', or name "
+            "their directory with --keys"
         )
     return FleetDesk(found, keys, presented_crl(keys), is_assistant)

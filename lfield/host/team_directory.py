@@ -1,6 +1,6 @@
 """Directory of the team's agents: a host samples its own, reports them, and receives the reports of others.
 
-Every host samples its agents once in LOOK_EVERY seconds and sends the changes, in one message for all agents.
+Every SAMPLE_EVERY seconds a host samples its agents and sends the changes, in one message for all agents.
 A newly linked host receives the whole directory once. A program without capabilities of a registry needs no
 samples: the condition of agents outside a registry is derived on demand from the data of this host.
 """

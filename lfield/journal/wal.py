@@ -29,7 +29,7 @@ Checksums = tuple[int, int]
 class WalFrame(NamedTuple):
     """The image of page `number`. `size` is the size of the database in pages at the end of a commit, else 0.
 
-    Without a correct checksum (`fit`), number and size are as stated in the damaged frame.
+    Without `is_checksum_valid`, number and size are as stated in the damaged frame.
     """
 
     number: int

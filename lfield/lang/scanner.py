@@ -221,6 +221,8 @@ def _number_hint(text: str) -> str | None:
         return f"write {plain[:40]}"
     if suffixed := re.fullmatch(r"(\d+(?:\.\d+)?)[fFdDlLuU]{1,3}", text):
         return f"write {suffixed[1][:40]}"
+    if re.fullmatch(r"\d+(\.\d+)?(ms|s|min|h|[cmk]?m|deg|rad|[kmu]?g|k?Hz)", text):
+        return "numbers have no units: write the value in SI units, such as m, s and rad"
     return None
 
 

@@ -1,4 +1,4 @@
-"""The types of L (DESIGN section 4): values, references, and two that only the checker sees."""
+"""The types of L: values, references, and two that only the checker sees."""
 
 from __future__ import annotations
 

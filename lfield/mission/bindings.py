@@ -230,7 +230,7 @@ def chosen_fakes(
             label = driver.manifests[device_type].fake_label(resources.get(agent, ""), agent)
             devices.setdefault(label, []).append(f"{agent}.{name}")
     return [
-        f"{', '.join(names)}: {label}; a devices file chooses another"
+        f"{', '.join(names)}: {label}; to change this, bind the device in a devices file"
         for label, names in devices.items()
         if label
     ]

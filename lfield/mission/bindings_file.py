@@ -214,8 +214,8 @@ def _unbound(
     where = f"in {path}" if path else "and there is no devices file"
     return [
         f"{agent}.{name} ({device_type}) is not bound {where}: add 'devices: {{{name}: {{driver: "
-        f"{driver.name}, endpoint: ...}}}}' under the agent '{agent}', or run it simulated with "
-        "'lfield up --sim', which needs none"
+        f"{driver.name}, endpoint: ...}}}}' under the agent '{agent}', or simulate it with "
+        "'lfield up --sim'"
         for agent, name, device_type in needed_devices_of(needed)
         if name not in bindings.devices.get(agent, {}) and (driver := driver_of(drivers, device_type))
     ]

@@ -161,7 +161,7 @@ class LinkManager:
                 session.link.send(message)
 
     def send_transfer(self, host: str, header: Transfer, block: Buffer) -> None:
-        """Send a coordinator to a host. On a closing link, `unlinked` follows."""
+        """Send a coordinator to a host. On a closing link, `LinkOwner.on_unlinked` follows."""
         session = self._links.get(host)
         if session:
             with suppress(AddressError):
@@ -170,12 +170,13 @@ class LinkManager:
     # --- both directions ------------------------------------------------------------------------------
 
     def _on_incoming(self, link: Link) -> Session:
+        """Admit a connection before its handshake; where there are too many, another one is rejected."""
         # The transport delivers messages only after this has returned.
         (session := Session(self, dialled=None)).await_greeting(link)
         last = not has_spare_descriptors(SPARE_DESCRIPTORS)
-        pushed = self._ungreeted.admit(session, source_of(link.peer), last=last)
-        if pushed is not None:
-            pushed.reject(FULL if last else f"over {MAX_HANDSHAKES} handshakes are pending at this host")
+        evicted = self._ungreeted.admit(session, source_of(link.peer), last=last)
+        if evicted is not None:
+            evicted.reject(FULL if last else f"over {MAX_HANDSHAKES} handshakes are pending at this host")
         return session
 
     def require_link(self, host: str) -> None:
@@ -288,7 +289,7 @@ class LinkManager:
         )
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
-        """Whether this host's own dial wins over a crossing dial of time `made_at`."""
+        """Whether this host's own dial wins over a crossing one of time `made_at`; closes one that loses."""
         caller = self._diallers.get(host)
         own = caller.session if caller is not None else None
         if own is None or not own.connected:

@@ -73,7 +73,7 @@ class LinkOwner(Protocol):
 class RateLimitedLog:
     """Rate-limited log of link errors, each line once: a refused peer dials again every second.
 
-    At most MOST_LINES lines per PERIOD, and a line with the number of suppressed lines; `now` is the clock,
+    At most MAX_LINES lines per PERIOD, and a line with the number of suppressed lines; `now` is the clock,
     in seconds.
     """
 

@@ -74,7 +74,7 @@ PATIENT_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 8.0
 def emergency_stop(
     reason: str, *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
 ) -> Request[EmergencyStopResult]:
-    """Sends an emergency stop, or with `lift` its end. The answer comes when the devices have confirmed it.
+    """The request of an emergency stop, or with `lift` of its end, answered when the devices have confirmed.
 
     A lift is not retried: another operator may have stopped the team again. `draw` gives random bytes for the
     id of the order.
@@ -84,19 +84,19 @@ def emergency_stop(
 
 
 def forget(agent: str) -> Request[ForgetResponse]:
-    """Declares a coordinator lost."""
+    """The request to declare a coordinator lost."""
     return Request(ForgetRequest(agent), ForgetResponse, 8.0)
 
 
 def pause(
     *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
 ) -> Request[EmergencyStopResult]:
-    """Sends a pause of the mission, or with `lift` its end, which is not retried."""
+    """The request of a pause of the mission, or with `lift` of its end, which is not retried."""
     return Request(Pause(draw(ID_SIZE), lift), EmergencyStopResult, 8.0, is_retried=not lift)
 
 
 def recover(order: RecoverRequest) -> Request[RecoverResponse]:
-    """Declares the holder of a coordinator permanently lost, and recovers it on the receiver."""
+    """The request to recover a coordinator on the receiver, because its holder is permanently lost."""
     return Request(order, RecoverResponse, 8.0)
 
 

@@ -225,7 +225,7 @@ def _clock() -> DiagnosticFinding:
         return DiagnosticFinding(
             "clock-sync",
             "warning",
-            "the clock is not synchronised: the logs of the hosts will not fit together",
+            "the clock is not synchronised: times in the logs of different hosts cannot be compared",
             "run chrony or systemd-timesyncd; without a network, a GPS receiver with gpsd",
         )
     return DiagnosticFinding(
@@ -256,9 +256,9 @@ def confinement() -> DiagnosticFinding:
         return DiagnosticFinding(
             "confinement",
             "note",
-            f"guards are kept to their devices ({confined}); this kernel cannot for {missing}",
+            f"guards are confined to their devices ({confined}); the kernel cannot confine {missing}",
         )
-    return DiagnosticFinding("confinement", "ok", f"guards are kept to their devices ({confined})")
+    return DiagnosticFinding("confinement", "ok", f"guards are confined to their devices ({confined})")
 
 
 async def scheduling_lateness(silence: float, clock: Clock, *, bound: bool) -> DiagnosticFinding:

@@ -86,9 +86,9 @@ class ServiceServer:
 
     def _on_incoming(self, link: Link) -> Session:
         (session := Session(self, dialled=None)).await_greeting(link)
-        pushed = self._ungreeted.admit(session, source_of(link.peer))
-        if pushed is not None:
-            pushed.reject(f"over {MAX_HANDSHAKES} handshakes are pending at this service")
+        evicted = self._ungreeted.admit(session, source_of(link.peer))
+        if evicted is not None:
+            evicted.reject(f"over {MAX_HANDSHAKES} handshakes are pending at this service")
         return session
 
     # --- reports of sessions --------------------------------------------------------------------------
@@ -115,9 +115,9 @@ class ServiceServer:
         self._admission.on_handshake(session.link.identity, hello)
         if hello.revoked < self._admission.number:
             session.link.send(RevocationUpdate(self._admission.list))
-        pushed = self._peers.admit(session, str(session.link.identity))
-        if pushed is not None:
-            pushed.reject(f"over {MAX_PEERS} peers are linked to this service")
+        evicted = self._peers.admit(session, str(session.link.identity))
+        if evicted is not None:
+            evicted.reject(f"over {MAX_PEERS} peers are linked to this service")
 
     def on_link_closed(self, session: Session) -> None:
         """See `SessionOwner`."""

@@ -135,8 +135,9 @@ class PlainFinding(Struct, frozen=True):
     code: str = "bindings"
 
     def render(self) -> str:
-        """The sentence."""
-        return self.message
+        """The sentence after severity and code, unless it begins with them."""
+        is_complete = self.severity == "note" or self.code == "bundle-warning"
+        return self.message if is_complete else f"{self.severity}[{self.code}]: {self.message}"
 
     def as_data(self) -> dict[str, object]:
         """The fields of a `Diagnostic`, without file and range."""

@@ -42,7 +42,10 @@ class YamlFields:
         if key in self._entries:
             return self._entries[key].value
         if required:
-            self.report("Y110", f"{self.subject} needs '{key}'", self.span)
+            joined = next((found for found in self._entries if found.startswith(f"{key}:")), "")
+            hint = f"write a space after the colon: {joined.replace(':', ': ', 1)}" if joined else ""
+            span = self.key_span(joined) if joined else self.span
+            self.report("Y110", f"{self.subject} needs '{key}'", span, hint)
         return None
 
     def text(

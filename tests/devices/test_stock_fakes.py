@@ -60,18 +60,22 @@ def test_bundle_keeps_the_kind_of_a_fake(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("resource", "device", "words"),
     [
-        ("Rover", "Mavlink", "one.d: simulated with kind rover; a devices file chooses another"),
+        (
+            "Rover",
+            "Mavlink",
+            "one.d: simulated with kind rover; to change this, bind the device in a devices file",
+        ),
         (
             "Boat",
             "Mavlink",
             "one.d: the kind of a Boat is not known, so it is simulated with kind copter; "
-            "a devices file chooses another",
+            "to change this, bind the device in a devices file",
         ),
         (
             "Hoist",
             "CanAxis",
             "one.d: simulated with protocol cia402, node 1, counts 4096, homing_method 37; "
-            "a devices file chooses another",
+            "to change this, bind the device in a devices file",
         ),
     ],
 )

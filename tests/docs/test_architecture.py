@@ -29,7 +29,10 @@ _PACKAGE = re.compile(r"\| `(\w+)` \|")
 #: A row of the table "Where is it implemented?": topic, module with link, class or method, remark.
 _PLACE = re.compile(r"\| [^|]+ \| \[`([^`]+)`\]\(([^)]+)\) \| `([^`]+)` \| [^|]+ \|")
 #: Topics that the table must contain.
-_TOPICS = ("**hop**", "**stop**", "**lease**", "**revocation**", "**journal write**")
+_TOPICS = (
+    *("**hop**", "**host call**", "**stop**", "**pause**", "**lease**", "**revocation**"),
+    *("**journal write**", "**watchdog**", "**geofence**", "**limits**", "**reservation**", "**vote**"),
+)
 
 
 class Step(NamedTuple):

@@ -99,6 +99,7 @@ def test_reservation_lease_and_wait_are_read(written, plugins):
         ("      fc: {driver", "      fx: {driver", ":6:7: error[Y113]: alpha has no device 'fx'"),
         ("{driver: mavlink", "{driver: mavlnk", ":6:20: error[Y113]: there is no driver 'mavlnk'"),
         ("{driver: mavlink, ", "{", ":6:11: error[Y110]: 'fc' needs 'driver'"),
+        ("{driver: mav", "{driver:mav", "hint: write a space after the colon: driver: mavlink"),
         ('endpoint: "udp:127.0.0.1:14550", ', "", "error[Y110]: 'fc' needs 'endpoint'"),
         ("system: 3", "system: 300", "error[Y113]: 'system' must be from 1 to 254, not 300"),
         ("system: 3", "system: three", "error[Y112]: 'system' must be a whole number, not the text 'three'"),
@@ -314,7 +315,7 @@ def test_a_deployment_is_checked_with_the_devices_file_beside_it(tmp_path):
     devices.write_text(WITHOUT_POLICY.format("{after: 30, do: land}"))
     (found,) = mission_problems(tmp_path / "m.dL")
     assert found.severity == "warning"
-    assert found.render().startswith(f"beta.fc (Mavlink) is not bound in {devices}: add ")
+    assert found.render().startswith(f"warning[bindings]: beta.fc (Mavlink) is not bound in {devices}: add ")
     devices.write_text(WITHOUT_POLICY.format("{after: 30, do: lnd}"))
     (found,) = mission_problems(tmp_path / "m.dL")
     problem = found.render()
@@ -332,7 +333,8 @@ def test_attributes_stated_in_two_files_are_reported_by_check(tmp_path):
     assert "is not bound" in unbound.render()
     assert (found.severity, found.render()) == (
         "warning",
-        "mass of hoist is stated in the devices file and in the mission's registry, which counts",
+        "warning[bindings]: mass of hoist is stated in the devices file and in the mission's registry, "
+        "which counts",
     )
 
 

@@ -55,6 +55,14 @@ def line_of(finding: ReportableFinding) -> tuple[object, object, object]:
     return data["severity"], data["code"], place["start"]["line"] if isinstance(place, dict) else None
 
 
+def test_arguments_with_commas_are_to_be_separated_by_ampersands(tmp_path: Path) -> None:
+    (finding,) = check_file(mission(tmp_path, DEPLOYMENT.replace("rover1&b&c", "rover1,b,c")))[:1]
+    assert (finding.as_data()["code"], finding.as_data()["hint"]) == (
+        "L716",
+        "separate arguments by &: ?rover1&b&c",
+    )
+
+
 def test_a_valid_mission_has_no_findings(tmp_path: Path) -> None:
     assert found(mission(tmp_path)) == []
 

@@ -196,6 +196,28 @@ def test_no_docstring_begins_without_a_subject() -> None:
     ] == []
 
 
+#: Constants of other programs: Linux, getconf, OpenSSL, uv, MAVLink.
+FOREIGN_CONSTANTS = {
+    *("TCP_NOTSENT_LOWAT", "TIME_WAIT", "PIPE_BUF", "AF_CAN", "X509_V_FLAG_NO_CHECK_TIME"),
+    *("UV_PYTHON_DOWNLOADS_JSON_URL", "LONG_BIT", "GNU_LIBC_VERSION", "PRETTY_NAME"),
+    *("CHANGE_OPERATOR_CONTROL", "AUTH_KEY", "SETUP_SIGNING", "WIFI_CONFIG_AP"),
+}
+#: A docstring or a comment, and a constant with an underscore.
+PROSE, CONSTANT = re.compile(r'"""[\s\S]*?"""|#.*'), re.compile(r"\b[A-Z][A-Z0-9]*_[A-Z0-9_]+\b")
+
+
+def test_constants_in_docstrings_and_comments_exist() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in files("lfield")}
+    defined = {name.strip("_") for text in texts.values() for name in re.findall(r"\w+", PROSE.sub("", text))}
+    assert [
+        f"{name_of(path)}: {name}"
+        for path, text in texts.items()
+        for prose in PROSE.findall(text)
+        for name in CONSTANT.findall(prose)
+        if name.strip("_") not in defined | FOREIGN_CONSTANTS
+    ] == []
+
+
 #: Files outside the wire and the host that may read the snapshot of a host. All others use the read model.
 SNAPSHOT_READERS = {
     "lfield/operator/client.py",

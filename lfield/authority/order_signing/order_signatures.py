@@ -49,7 +49,7 @@ class VerifiedCertificate(NamedTuple):
 
 
 class CertificateCache:
-    """LRU cache of verified certificates by digest, at most MOST_CERTIFICATES. `authority` is PEM.
+    """LRU cache of verified certificates by digest, at most MAX_CERTIFICATES. `authority` is PEM.
 
     Not thread-safe: a thread that verifies uses the result of `get`.
     """

@@ -1,4 +1,4 @@
-"""The bytecode verifier (DESIGN section 5): engines do not repeat its checks.
+"""The bytecode verifier: engines do not repeat its checks.
 
 It checks every program before use, also untrusted bytes from a peer. Records are checked before the
 instructions that refer to them, so that later checks may follow an index without a test. Each check visits

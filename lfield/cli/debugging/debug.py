@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         type=Path,
         nargs="*",
-        help="directories of recordings, as for `lfield replay`; or a deployment (mission.dL), which runs in "
-        "virtual time with simulated devices first; with --dap an editor may name them",
+        help="directories of recordings, as for `lfield replay`; or a deployment (mission.dL), which first "
+        "runs in virtual time with simulated devices; with --dap, the editor can name them instead",
     )
     parser.add_argument(
         "--bundle", metavar="FILE", type=Path, help="bundle of the mission, if the recording has none"
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="TEXT",
-        help="execute a command of the debugger and end after the last one; `help` lists them",
+        help="execute this debugger command; exit after the last -c; the command `help` lists all commands",
     )
     parser.add_argument("--plain", action="store_true", help="read commands line by line, without windows")
 

@@ -49,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
     """Write the file and print its path and identity."""
     if args.file.suffix in (".dL", ".lfm"):
         return _build_bundle(args)
+    if args.file.suffix != ".L" and args.file.is_file():
+        raise UsageError(f"{args.file} is neither a deployment (.dL) nor a program (.L) nor a bundle (.lfm)")
     if args.program or args.devices or args.capabilities or args.sim:
         raise UsageError(f"{args.file} is a program: build the bundle of a deployment (.dL) to bind devices")
     return _build_program(args)

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         nargs="+",
         type=Path,
-        help="programs, deployments (.dL) and bundles (.lfm)",
+        help="programs (.L, .lb), deployments (.dL) and bundles (.lfm)",
     )
     parser.add_argument("--json", action="store_true", help="print the findings as a JSON array")
 
@@ -57,11 +57,11 @@ def _without_duplicates(findings: Iterable[ReportableFinding]) -> list[Reportabl
 def _findings(path: Path) -> list[ReportableFinding]:
     """The findings about a file.
 
-    A bundle has the warnings with which it was built. Raises BundleError for one that is not sound, and
-    UsageError for a YAML file.
+    A bundle has the warnings with which it was built. Raises BundleError or ProgramFileError for a compiled
+    file that is not sound, and UsageError for a file of another kind.
     """
     from lfield.mission import bundle
-    from lfield.mission.loader import check_file, mission_problems
+    from lfield.mission.loader import check_file, load_program, mission_problems
     from lfield.text.source_text import PlainFinding
 
     if path.suffix in (".yaml", ".yml"):
@@ -70,6 +70,12 @@ def _findings(path: Path) -> list[ReportableFinding]:
         )
     if path.suffix == bundle.SUFFIX:
         return [PlainFinding(warning, "warning", "bundle-warning") for warning in bundle.read(path).warnings]
+    if path.suffix == ".lb":
+        load_program(path)
+        return []
+    # A deployment in a program file would be valid: its lines are comments there.
+    if path.suffix not in (".L", ".dL") and path.is_file():
+        raise UsageError(f"{path} is neither a program (.L, .lb) nor a deployment (.dL) nor a bundle (.lfm)")
     found = list(check_file(path, _hosts_with_keys() if path.suffix == ".dL" else ()))
     program = path.with_suffix(".L")
     if path.suffix == ".dL" and not program.exists():

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="rights: observe (status, ps, logs, events, inventory check); stop (estop, pause; includes "
         "observe); operate (resume, estop --lift, forget, recover, start without services; includes stop); "
-        "command (push, rollback, start and stop with services, sign; includes no other: add observe)",
+        "command (push, rollback, start and stop with services, sign; includes no other right: add observe)",
     )
     page = actions.add_parser(
         "page", **action_help("create the keys of a web page on a network, for 'lfield watch --listen'")
@@ -90,7 +90,8 @@ def _add_init(init: argparse.ArgumentParser) -> None:
     init.add_argument(
         "--person",
         metavar="NAME",
-        help="also create keys with the rights operate and command, as your keys on this computer",
+        help="also create keys for this person with the rights operate and command, and install them on "
+        "this computer",
     )
     _add_days(init, _AUTHORITY_DAYS)
 

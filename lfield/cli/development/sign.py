@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
     folder = find_keys("person", OWN, args.keys, os.environ)
     if folder is None:
         raise KeysError(
-            "there are no keys of yours here: 'lfield keys person NAME --may command' makes some, and --keys "
-            "names their folder"
+            "no keys of yours on this computer: create them with 'lfield keys person NAME --may command', "
+            "and name their directory with --keys or copy them to ~/.config/lfield/keys/me"
         )
     keys = read_keys(folder, "person")
     digest = bundle.contents(data).digest

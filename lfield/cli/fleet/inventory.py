@@ -164,7 +164,7 @@ def _print_states(states: States, *, has_keys: bool) -> None:
     for line in dict.fromkeys(filter(None, starmap(_finding, states.items()))):
         console.print(escape_line(line))
     if not has_keys:
-        print("lfield: certificates were not checked: there are no keys of yours here", file=sys.stderr)
+        print("lfield: certificates were not checked: no keys of yours on this computer", file=sys.stderr)
 
 
 def _summary(hosts: Mapping[str, Sequence[EndpointState]]) -> Iterator[str]:

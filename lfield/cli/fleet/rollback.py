@@ -36,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--lost",
         metavar="HOST",
         default="",
-        help="instead: abort an undecided activation; HOST, whose vote is unknown, will not return",
+        help="do not activate, but abort an undecided activation: HOST, whose vote is unknown, is "
+        "permanently lost",
     )
     add_desk(parser)
 

@@ -31,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--keys", metavar="DIR", type=Path, help="directory with the keys of this host")
     parser.add_argument(
-        "--state", metavar="DIR", type=Path, help="directory for bundles and journals (default: the unit's)"
+        "--state",
+        metavar="DIR",
+        type=Path,
+        help="directory for bundles and journals (default: $STATE_DIRECTORY, which systemd sets)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per log line")
     parser.add_argument(

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--log",
         metavar="FILE",
         type=Path,
-        help="append every call of a tool to this file too, with its caller",
+        help="also append every tool call, with its caller, to this file",
     )
 
 

@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         default=[],
-        help="mission and area files to draw on the map, besides those that the program names",
+        help="mission and area files to draw on the map, in addition to those that the program names",
     )
     parser.add_argument(
         "--replay",

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mcap",
         metavar="FILE",
         type=Path,
-        help="write an MCAP file with Foxglove's schemas, which must not exist",
+        help="write a new MCAP file with Foxglove's schemas; FILE must not exist",
     )
     parser.add_argument(
         "--csv",

@@ -45,8 +45,7 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         type=Path,
         nargs="+",
-        help="directory of a recording, or of several: those of one run are used together, of several runs "
-        "the newest",
+        help="directory of one recording, or of several: all recordings of the newest run are used together",
     )
     parser.add_argument(
         "--bundle",

@@ -26,7 +26,7 @@ def add_record_options(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         type=Path,
         help="record each host in a new directory in DIR, for 'lfield replay' and 'lfield debug' "
-        "(default: in the state directory, and not at all on simulated devices)",
+        "(default: the state directory; a run on simulated devices is not recorded)",
     )
     where.add_argument("--no-record", action="store_true", help="do not record")
     parser.add_argument(

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--files",
         metavar="DIR",
         type=Path,
-        help="directory of the files that the devices of a bundle need (default: that of the bundle)",
+        help="directory of the files that the devices of a bundle need (default: the bundle's directory)",
     )
     parser.add_argument(
         "--sim", action="store_true", help="start a simulated device in place of each real one"
@@ -103,7 +103,7 @@ def _add_key_options(parser: argparse.ArgumentParser) -> None:
         "--keys",
         metavar="DIR",
         type=Path,
-        help="directory with the keys of this host, or with one such directory for each host",
+        help="directory with the keys of this host, or with one subdirectory for each host",
     )
     parser.add_argument(
         "--lasts",
@@ -164,6 +164,8 @@ def _run_mission(path: Path, args: argparse.Namespace) -> int:
 
     if path.suffix in (".L", ".lb"):
         raise UsageError(f"{path} is a program: name its deployment, {path.with_suffix('.dL')}")
+    if path.suffix not in (".dL", bundle.SUFFIX) and path.is_file():
+        raise UsageError(f"{path} is neither a deployment (.dL) nor a bundle (.lfm)")
     if path.suffix != bundle.SUFFIX:
         return _run_built(path, args)
     if args.program is not None:

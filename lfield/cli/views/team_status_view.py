@@ -43,7 +43,10 @@ def team_tables(hosts: Mapping[str, HostState]) -> Group:
     links, summary = _links(linked)
     further = [table for table in (devices, _hosts(linked), links) if table.row_count]
     waits = [*_starts(linked), *_refused(linked)]
-    hints = map(escape_line, [*_paused(linked), *waits, *_not_persisted(linked), *doubt_advice(linked)])
+    hints = map(
+        escape_line,
+        [*_stopped(linked), *_paused(linked), *waits, *_not_persisted(linked), *doubt_advice(linked)],
+    )
     bundles = ["", *map(escape_line, _bundles(linked))] if _bundles(linked) else []
     tables = (part for table in further for part in ("", table))
     return Group(_agents(hosts), *hints, *tables, *summary, *bundles)
@@ -56,6 +59,18 @@ def _bundles(linked: Mapping[str, HostState]) -> list[str]:
         if (run := host.report.bundle) is not None:
             found.setdefault(str(BundleId(run.digest, by=run.by, at=run.at)), []).append(name)
     return [f"bundle {release}: {', '.join(hosts)}" for release, hosts in found.items()]
+
+
+def _stopped(linked: Mapping[str, HostState]) -> list[str]:
+    """The emergency stops in force, each with its hosts and the command that ends it."""
+    hosts_by_reason = defaultdict[str, list[str]](list)
+    for name, host in linked.items():
+        if host.stopped:
+            hosts_by_reason[host.stopped].append(name)
+    return [
+        f"EMERGENCY STOP of {', '.join(hosts)}: {reason}; 'lfield estop --lift' ends the stop"
+        for reason, hosts in hosts_by_reason.items()
+    ]
 
 
 def _paused(linked: Mapping[str, HostState]) -> list[str]:

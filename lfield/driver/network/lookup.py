@@ -81,9 +81,9 @@ class Lookup:
 async def connected(lookup: Lookup, within: float, make: Callable[[], P]) -> tuple[P, str]:
     """Connects by TCP to the first address that answers; returns the protocol from `make` and that address.
 
-    The next address is tried STAGGER s after the last one (happy eyeballs). Name resolution may take `within`
-    seconds, and all connection attempts together also `within` seconds. The kernel ends a connection whose
-    path is dead within 5 s. Raises OSError.
+    The next address is tried ATTEMPT_DELAY seconds after the last one (happy eyeballs). Name resolution may
+    take `within` seconds, and all connection attempts together also `within` seconds. The kernel ends a
+    connection whose path is dead within 5 s. Raises OSError.
     """
     loop = asyncio.get_running_loop()
     if isinstance(loop, SimulatedLoop):

@@ -151,7 +151,9 @@ class MigrationEvents:
     # --- other events ---------------------------------------------------------------------------------
 
     def on_failed(self, agent: Agent, exception: str, reason: str, *, recovered: bool) -> None:
-        """A frozen coordinator is about to resume here with an exception, perhaps as it is `recovered`."""
+        """A frozen coordinator is about to resume here with an exception: its hop has failed, or it is
+        `recovered` from a copy.
+        """
         self.drain()
         self._in_flight.pop(agent.id, None)
         if recovered:

@@ -12,7 +12,7 @@ from lfield.vm.memory.threads import place_of
 
 
 class PortalEvents:
-    """Records the start and end of portal calls (`attached.Watch`), and forwards to the observer `before`."""
+    """Records the start and end of portal calls, and forwards them to the observer that was there before."""
 
     def __init__(self, recorder: EventRecorder, machine: Machine) -> None:
         self._recorder, self._machine = recorder, machine

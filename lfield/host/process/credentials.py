@@ -116,6 +116,10 @@ def validate_startup(mission: Mission, host: str, credentials: HostCredentials |
 def _require_valid(
     own: Identity, revoked: RevocationList, now: float, lasts: float, signed: Callable[[], float]
 ) -> None:
+    """Raises KeysError if the keys are revoked or expire within `lasts` seconds.
+
+    `signed` returns the time when the bundle was signed, 0 for none: a clock that is wrong differs from it.
+    """
     if own.serial in revoked.serials:
         raise KeysError(
             f"the keys of {own} are revoked (list {revoked.number}): make new ones with 'lfield keys {own}'"

@@ -148,7 +148,7 @@ class CheckpointRecord(HostRecord, frozen=True, tag=4):
 
 
 class RunIdRecord(HostRecord, frozen=True, tag=5):
-    """The run id of this host has changed: the host has met an older run (`run_identity`)."""
+    """The run id of this host has changed: the host has met an older run."""
 
     run: str
 

@@ -120,7 +120,7 @@ class RecordingSession:
         return draw
 
     def attach(self, core: HostCore, turns: CoreTurns, engine: str) -> None:
-        """The core is constructed, in the present turn."""
+        """Begin to record a core, in the turn that has constructed it."""
         self._turns, self._host, self._incarnation = turns, core.name, core.incarnation
         self._open(core, turns, engine)
         turns.attach(core, self.flight)

@@ -89,8 +89,10 @@ class SequencingService(Part):
     # --- events ---------------------------------------------------------------------------------------
 
     def open(self, *, first: bool) -> None:
-        """The other hosts had time to report; `first`: an operator asserts that there was no earlier
-        start."""
+        """Permit starts from now on, because the other hosts had time to report their records.
+
+        `first`: an operator asserts that there was no earlier start.
+        """
         is_known = first or self._team.recovery.last_start is not None
         for runs in self._runs.values():
             runs.open(is_known=is_known, without=self._without)

@@ -199,6 +199,7 @@ class SubscriptionServer:
         link.close()
 
     def _check_offers(self) -> None:
+        """Record which agents are offered from now on, or not any more."""
         team = self._core.team
         hosts = {member.id: team.hosts[member.host] for member in team.members}
         self._recorder.on_offers(self._core.directory.refusals(), hosts)

@@ -315,12 +315,14 @@ class Coordinators(Part):
         self.apply_effects(self.mobility.on_ended(agent.id, agent.generation, outcome, agent.report))
 
     def _block_maker(self, agent: Agent) -> Callable[[int], Buffer]:
+        """Pack the block of a coordinator; returns a function from a transfer's sequence to the bytes."""
         self._machine.pack(agent)
         self._packs += 1
         self._packed = self._packs
         return partial(self._seal, agent, self._packs)
 
     def _seal(self, agent: Agent, packed: int, sequence: int) -> Buffer:
+        """The bytes of a packed block with the sequence of a transfer; `packed` is the number of the pack."""
         agent.block.w[layout.W_SEQUENCE] = sequence
         if self._packed != packed:  # The coordinator has waited since, and its time limits have decreased.
             self._machine.store_clock(agent)

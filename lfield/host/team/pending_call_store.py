@@ -113,12 +113,15 @@ class PendingCallStore(Part):
             self._machine.pending_calls.on_persisted(key)
 
     def on_save(self, agent: Agent) -> bool:
-        """Delete the fetched results of a coordinator when it is saved: the stored block contains them."""
-        effects = self._team.save(agent)
+        """Delete the fetched results of a coordinator when it is saved: the stored block contains them.
+
+        Returns whether the coordinator may continue before the write.
+        """
+        may_continue = self._team.save(agent)
         if self._has_journal and not self._team.write_problem:
             before = self._fetched.pop((agent.id, agent.generation), [])
             self._delete([*before, *self._machine.pending_calls.drain_fetched(agent)])
-        return effects
+        return may_continue
 
     def on_departing(self, agent: Agent) -> None:
         """A coordinator was packed to be sent: its fetched results are deleted when the copy is on disk."""

@@ -55,9 +55,14 @@ def _unknown_ids(units: Sequence[tree.Unit], ids: Mapping[str, list[str]]) -> It
 def _unknown_id(span: Span, id: str, resource: str, ids: Mapping[str, list[str]]) -> Iterator[Diagnostic]:
     known = ids.get(resource, [])
     if id not in known:
-        absence = f"no agent of type {resource} is deployed"
-        hint = did_you_mean(id, known) or (f"its agents: {listed(known)}" if known else absence)
-        yield messages.UNKNOWN_AGENT.at(span, hint=hint, id=id, type=resource)
+        hint = f"no agent of type {resource} is deployed"
+        if known:
+            hint = f"ids of type {resource}: {listed(known)}"
+        if "," in id:
+            hint = f"separate arguments by &: {id.replace(',', '&')}"
+        elif actual := next((type for type, names in ids.items() if id in names), None):
+            hint = f"'{id}' is a {actual}; {hint}"
+        yield messages.UNKNOWN_AGENT.at(span, hint=did_you_mean(id, known) or hint, id=id, type=resource)
 
 
 def _findings(
@@ -73,7 +78,7 @@ def _findings(
         count = f"{number} argument{'s' if number != 1 else ''}"
         yield messages.MISSING_ARGUMENT.at(
             agent.span,
-            hint=_NEGATIVE if index < 0 else None,
+            hint=_NEGATIVE if index < 0 else _separator_hint(agent, max(missing)),
             agent=agent.id,
             count=count,
             index=index,
@@ -83,6 +88,13 @@ def _findings(
     for index, resource in own.finds.items():
         if 0 <= index < len(arguments):
             yield from _unknown_id(agent.span, arguments[index], resource, ids)
+
+
+def _separator_hint(agent: DeployedAgent, needed: int) -> str | None:
+    """The hint for arguments that would be enough if they were not separated by commas."""
+    arguments = ",".join(agent.arguments).split(",")
+    is_split = len(arguments) > len(agent.arguments) and len(arguments) >= needed
+    return f"separate arguments by &: ?{'&'.join(arguments)}" if is_split else None
 
 
 def _complete(agent: DeployedAgent, needed: int) -> list[str]:

@@ -106,6 +106,8 @@ def conversion_hint(actual: Type, expected: Type) -> str:
         return "compare it: ... != 0"
     if actual == NULL:
         return f"{expected} is never null; only objects, arrays, strings and proxies can be"
+    if expected == BOOLEAN and is_reference(actual) and not isinstance(actual, DeviceType):
+        return "compare it: ... != null"
     return ""
 
 

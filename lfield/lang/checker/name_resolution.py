@@ -106,7 +106,7 @@ def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tre
         return unknown(raw.span)
     if isinstance(owner, tree.EnumName):
         return enum_member(body, raw, owner.enum)
-    if isinstance(owner.type, ResourceType):
+    if isinstance(owner.type, ResourceType) and raw.name not in method_names(body, owner.type, unit):
         body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
         return unknown(raw.span)
     has_fields = unit is not None and not isinstance(owner.type, LIBRARY_CLASSES)

@@ -41,9 +41,7 @@ def unary(body: BodyContext, raw: syntax.Unary, operand: tree.Expr) -> tree.Expr
         return tree.Not(raw.span, BOOLEAN, operand)
     if raw.operator == "-" and is_numeric(kind):
         return tree.Negate(raw.span, kind, operand)
-    hint = (
-        "! turns a boolean round: did you mean == 0 ?" if raw.operator == "!" and is_numeric(kind) else None
-    )
+    hint = "! negates a boolean: did you mean == 0 ?" if raw.operator == "!" and is_numeric(kind) else None
     body.report(messages.OPERAND, raw.span, hint=hint, operator=raw.operator, given=kind)
     return unknown(raw.span)
 
@@ -107,6 +105,8 @@ def _report_operands(body: BodyContext, raw: syntax.Binary, left: tree.Expr, rig
     hint = None
     if operator in ("&&", "||"):
         hint = "both sides must be boolean: compare them with something"
+    elif operator in _ORDER and BOOLEAN in (left.type, right.type):
+        hint = "join two comparisons: a < b && b < c"
     elif STRING in (left.type, right.type) and operator != "+":
         hint = _NOT_JOINING.get(operator, "of operators only + and comparisons work on text")
     elif STRING in (left.type, right.type) and left.type != right.type:
@@ -122,4 +122,4 @@ def _string_hint(left: Type, right: Type) -> str | None:
     if isinstance(left, EnumType) or isinstance(right, EnumType):
         return "a member of an enum has its name as text: member.name()"
     function = _TO_STRING.get(left) or _TO_STRING.get(right)
-    return f"make text of the other side: {function}(...)" if function else None
+    return f"convert the other operand to a string: {function}(...)" if function else None

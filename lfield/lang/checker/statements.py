@@ -100,6 +100,8 @@ def _if(body: BodyContext, raw: syntax.If) -> tree.If:
     ]
     branch: list[tree.Stmt] = _branch(body, ladder[0].otherwise)
     for rung in ladder:
+        if isinstance(rung.then, syntax.Empty):
+            body.report(messages.EMPTY_BRANCH, rung.then.span)
         branch = [tree.If(rung.span, condition(body, rung.condition), _branch(body, rung.then), branch)]
     (first,) = branch
     assert isinstance(first, tree.If)

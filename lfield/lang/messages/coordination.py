@@ -104,3 +104,4 @@ LONE_HOST = _message(
 )
 UNKNOWN_HOST = _message("L908", "the host '{host}' is unknown: {reason}", "check its name")
 UNKNOWN_AGENT = _message("L907", "the deployment has no {type} with the id '{id}'", "check the argument")
+EMPTY_BRANCH = _message("L909", "this ; is the whole body of the if", "remove the ; or write {{ }} instead")

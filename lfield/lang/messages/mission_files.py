@@ -80,7 +80,7 @@ DEPLOY_WITNESS = _message(
 MISSING_ARGUMENT = _message(
     "L716",
     "{agent} has {count}, and its init reads arg[{index}] on line {line} of the program",
-    "end its line with ?{given}",
+    "end the line of {agent} with ?{given}",
 )
 
 UNKNOWN_STARTABLE = _message(

@@ -31,17 +31,17 @@ def async_call(s: TokenStream, operand: Callable[[TokenStream], Expr]) -> Expr:
 
 
 def at_wait_until(s: TokenStream) -> bool:
-    """Whether `wait until (` begins here."""
-    return s.at("wait") and s.ahead(1).text == "until" and s.ahead(2).text == "("
+    """Whether `wait until` and a condition begin here; `wait until;` declares a variable."""
+    return s.at("wait") and s.ahead(1).text == "until" and s.ahead(2).text not in (";", "=", ",")
 
 
-def wait_until(s: TokenStream, parenthesised: Callable[[TokenStream], Expr]) -> Stmt:
+def wait_until(s: TokenStream, parenthesised: Callable[[TokenStream, str | None], Expr]) -> Stmt:
     """`wait until (condition);` or `wait until (condition) within (seconds);`."""
     start = s.advance().span
     keyword = start.to(s.advance().span)
-    condition, seconds = parenthesised(s), None
+    condition, seconds = parenthesised(s, "write the condition in parentheses: wait until (...);"), None
     if s.at("within"):
         s.advance()
-        seconds = parenthesised(s)
+        seconds = parenthesised(s, None)
     s.semicolon()
     return WaitUntil(keyword, condition, seconds)

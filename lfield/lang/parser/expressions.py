@@ -74,7 +74,7 @@ INSTEAD = {
     "!==": "write !=",
     "&": "write && for a condition; L has no bit operators",
     "|": "write || for a condition; L has no bit operators",
-    "=>": "did you mean >= ?",
+    "=>": "write >= to compare; L has no lambda expressions: write a method",
     "->": "members are reached with a dot: object.name",
     "::": "members are reached with a dot: object.name",
 }

@@ -32,7 +32,7 @@ ANY_PORT = 0
 
 
 class Flooder(NamedTuple):
-    """A sender that exceeds the limit: packed address (4 or 16 bytes), and port or EVERY_PORT."""
+    """A sender that exceeds the limit: packed address (4 or 16 bytes), and port or ANY_PORT."""
 
     address: bytes
     port: int

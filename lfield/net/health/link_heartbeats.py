@@ -81,7 +81,7 @@ class RoundTrip(SmoothedRtt):
         return None if self.mean is None else self.mean + DEVIATIONS * self.variation
 
     def longest(self, now: float) -> float:
-        """The longest sample, decaying with HALF_LIFE, and at least `bound`; FIRST before any sample."""
+        """The longest sample, decaying with HALF_LIFE, and at least `bound`; INITIAL_RTT without a sample."""
         if self.bound is None:
             return INITIAL_RTT
         decayed: float = self._longest * 2.0 ** ((self._at - now) / HALF_LIFE)

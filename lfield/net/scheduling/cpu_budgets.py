@@ -1,6 +1,6 @@
 """Leaky-bucket CPU budgets of members (hosts of the team), with probes that detect flooding. Sans-IO.
 
-The account of a member is the CPU time of its messages minus RATION of the elapsed time. Above ALLOWANCE the
+The account of a member is the CPU time of its messages minus CPU_SHARE of the elapsed time. Above BURST the
 member is over its budget. Then:
 
 - Messages of members within their budgets come first (`BudgetState.OVER`).
@@ -9,8 +9,8 @@ member is over its budget. Then:
   soon has no more messages to send: each coordinator has at most one transfer in flight. A host that sends
   without waiting accumulates a crowd of messages, counted by `FramedLink.weight`. A second transfer of a
   coordinator whose first has no answer is a crowd and a proof.
-- A member with a crowd is limited to its ration (`BudgetState.HELD`). After OVER_FOR its link is closed
-  (`BudgetState.FLOOD`), unless the probe ends earlier without a proof.
+- A member with a crowd is limited to its ration (`BudgetState.HELD`). After MAX_EXCESS_TIME its link is
+  closed (`BudgetState.FLOOD`), unless the probe ends earlier without a proof.
 
 So a hop is never the reason for a closed link, also on a slow computer. Times are in seconds.
 """
@@ -30,7 +30,7 @@ HELD_BURST = 0.002
 #: Seconds over budget after which a link is closed.
 MAX_EXCESS_TIME = 5.0
 #: Seconds between the end of a probe and the next one. A probe ends when the messages of the member have used
-#: no more than QUIET for this many seconds.
+#: no more than PROBE_LIMIT for this many seconds.
 PROBE_EVERY, PROBE = 1.0, 0.1
 PROBE_LIMIT = CPU_SHARE * PROBE
 #: Longest pause of reading: the link must not seem dead to the peer.
@@ -132,7 +132,7 @@ class CpuBudgets:
 
     def on_closed(self, member: str, now: float) -> None:
         """The link of a member was closed for flooding: the next link starts with the same debt and a new
-        OVER_FOR.
+        MAX_EXCESS_TIME.
         """
         account = self._account(member, now)
         account.flooding_since = account.connecting_since = math.inf
@@ -144,7 +144,7 @@ class CpuBudgets:
         return -math.inf if account is None else account.held_until
 
     def may_report(self, member: str, now: float) -> bool:
-        """Whether to log that a member is over its budget: once, when it has a crowd or after OVER_FOR."""
+        """Whether to log that a member is over its budget: once, with a crowd or after MAX_EXCESS_TIME."""
         account = self._account(member, now)
         is_new = account.is_crowded or now - account.over_since >= MAX_EXCESS_TIME
         is_new, account.is_reported = is_new and not account.is_reported, account.is_reported or is_new

@@ -1,6 +1,6 @@
 """Scheduler of unauthenticated TLS handshakes: a CPU budget, and round robin over source addresses. Sans-IO.
 
-All handshakes together get RATION of one processor. Addresses take turns within three groups, which
+All handshakes together get CPU_SHARE of one processor. Addresses take turns within three groups, which
 alternate: addresses of authenticated callers, unknown addresses, and addresses whose last connection failed
 to authenticate. A half-completed handshake precedes new callers of its address. A flood thus delays other
 callers by a few handshakes, and does not lock out a member at a known address.

@@ -112,6 +112,7 @@ def attribute_sheet(registry: Registry, attribute: Attribute) -> Sheet:
 
 
 def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
+    """A line for each provider, capability of a provider, and agent that has a value of the attribute."""
     name, unit = attribute.name, attribute.unit
     for type, provider in sorted(registry.providers.items()):
         if name in provider.attributes:

@@ -92,7 +92,7 @@ class DeviceTracker:
             device.latched, device.confirmed, device.moving = "", False, ""
 
     def on_movable(self, names: Iterable[str]) -> None:
-        """Mark devices that have a safe state: the host has reported whether they are in it."""
+        """Mark devices as having a safe state: a host reports whether a device is in it only for these."""
         for name in names:
             self._device(name).moves = True
 

@@ -74,7 +74,7 @@ class Failover:
         self._agents, self._rng = agents, rng
         self._attempts: dict[str, FailoverAttempt] = {}
         #: The time when a holder was last known, or when the coordinator was here.
-        self._last_holder: dict[str, float] = {}
+        self._last_contact: dict[str, float] = {}
         #: The time before which there is no new suspicion, because the last attempt has just failed.
         self._back_off_until: dict[str, float] = {}
         #: The time when each agent becomes suspected without news of a holder.
@@ -110,7 +110,7 @@ class Failover:
     def on_holder(self, agent: str, generation: int, at: float) -> None:
         """Record that a host held a runnable start at the time `at`, or was about to resume the agent."""
         if agent in self._agents and not self._fences.rejects(agent, generation):
-            self._last_holder[agent] = max(at, self._last_holder.get(agent, at))
+            self._last_contact[agent] = max(at, self._last_contact.get(agent, at))
             self._back_off_until.pop(agent, None)
             self._explained[agent] = {
                 text: when for text, when in self._explained[agent].items() if when >= at
@@ -131,7 +131,8 @@ class Failover:
         return saved.is_alive and not self._fences.rejects(agent, saved.position.generation)
 
     def _clear_suspicion(self, agent: str, now: float) -> None:
-        self._last_holder[agent] = now
+        """Forget the suspicion about an agent that is here: its silence counts from now."""
+        self._last_contact[agent] = now
         self._explained[agent].clear()
         for known in (self._back_off_until, self._suspected, self._attempts):
             known.pop(agent, None)
@@ -159,7 +160,7 @@ class Failover:
     def _suspect_at(self, agent: str, saved: Checkpoint, now: float) -> float:
         # While the last known holder may still have a lease, a failover is not justified.
         silence = max(saved.interval, self._members.grace_period)
-        last_contact = self._last_holder.setdefault(agent, now)
+        last_contact = self._last_contact.setdefault(agent, now)
         return (
             max(last_contact + silence, self._back_off_until.get(agent, last_contact)) + self._delays[agent]
         )
@@ -276,7 +277,7 @@ class Failover:
 
     def _defer_to_better(self, agent: str, now: float) -> list[Effect]:
         """Let a host with a better copy resume the agent: suspect again after the interval."""
-        self._last_holder[agent] = now
+        self._last_contact[agent] = now
         self._back_off_until.pop(agent, None)
         return self._end(agent)
 

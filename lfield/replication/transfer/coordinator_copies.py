@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
 
 #: The states of a copy. ABSENT: there was never a copy here, only a refused transfer. The other states are
-#: those of `messages.CopyState`.
+#: those of `CopyState`.
 CopyPhase = Literal["ABSENT", "RUN", "FROZEN", "PREPARED", "MOVED", "EXITED"]
 
 #: States of a copy here that runs or may have to run again.

@@ -23,7 +23,7 @@ class Send(Struct, frozen=True):
 
 
 class SendTransfer(Struct, frozen=True):
-    """A hop: send a block to a host. Without a link the block is dropped, and `unlinked` is reported."""
+    """A hop: send a block to a host. Without a link the block is dropped, and `LinkClosed` is reported."""
 
     host: str
     header: Transfer

@@ -177,7 +177,7 @@ class TransferSender:
         return self.mark_moved(copy) if arrived or record.sequence > copy.sequence else []
 
     def mark_moved(self, copy: CoordinatorCopy, held: float = 0.0) -> list[Effect]:
-        """The copy lives on another host; the block is kept as its shadow."""
+        """The copy lives on another host; the block is kept as its shadow. `held`: see `MarkMigrated`."""
         copy.move()
         departed = MarkMigrated(copy.agent, copy.generation, copy.sequence, copy.target, held)
         return [departed, *self._copies.persist(copy, is_lazy=True)]

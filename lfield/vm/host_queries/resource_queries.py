@@ -1,7 +1,7 @@
 """Attribute queries of the host to its own resources: portals without parameters or side effects.
 
 They have no caller in another block that would need persistence, restart notices or cancellation. Their
-threads may command no device (`Machine.served_call`), even if the registry declares otherwise.
+threads may command no device (`ServedCalls.of_thread` has no caller for them), even if the registry says so.
 """
 
 from __future__ import annotations

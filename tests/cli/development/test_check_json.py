@@ -103,7 +103,11 @@ def test_hosts_with_keys_are_the_inventory_of_a_team(
 
 @pytest.mark.parametrize(
     ("line", "hint"),
-    [("//Arm:one@alpha", "its agents: one"), ("//Boss:two@alpha", "no agent of type Arm is deployed")],
+    [
+        ("//Arm:one@alpha", "ids of type Arm: one"),
+        ("//Boss:two@alpha", "no agent of type Arm is deployed"),
+        ("//Boss:elsewhere@alpha", "'elsewhere' is a Boss; no agent of type Arm is deployed"),
+    ],
 )
 def test_an_unknown_agent_is_reported_with_the_agents_of_its_type(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, hint: str

@@ -53,7 +53,11 @@ def refused(here):
     ("command", "words"),
     [
         ([], "the following arguments are required: COMMAND"),
-        (["fly"], "invalid choice: 'fly'"),
+        (["fly"], "invalid choice: 'fly' (see"),
+        (["chek"], "invalid choice: 'chek': did you mean 'check'?"),
+        (["run"], "invalid choice: 'run': did you mean 'up'?"),
+        (["check", "mission.L", "--jsn"], "--jsn: did you mean '--json'? (see 'lfield check --help')"),
+        (["keys", "list", "--dir", "x"], "unrecognized arguments: --dir x (see 'lfield keys list --help')"),
         (["up"], "one of the arguments MISSION --deploy is required"),
         (["ps", "--deploy", "mission.dL", "--deploy", "b.dL"], "--deploy is given twice"),
         (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
@@ -143,6 +147,13 @@ def test_a_directory_in_place_of_a_mission_is_refused(here, command, why):
         assert f"lfield: cannot read {name}: {why}" in "\n".join(done.err)
 
 
+@pytest.mark.parametrize("command", ["check", "build", "up --all"])
+def test_a_file_with_the_suffix_of_no_mission_file_is_refused(lfield, refused, command):
+    # A deployment in a program file would be valid: its lines are comments there.
+    (lfield.folder / "mission.dl").write_text("//Copter:lead@alpha\n")
+    refused(64, "mission.dl is neither a ", *command.split(), "mission.dl")
+
+
 @pytest.mark.parametrize(
     ("command", "what"),
     [
@@ -191,11 +202,13 @@ def test_a_damaged_program_file_is_refused(lfield, here, refused, good, program,
     if program == "whole":
         shown = here("disasm", path, status=0)
         assert any("Ringer" in line for line in shown.out)
+        here("check", path, status=0)
         return
     if program == "flipped":
         data[len(data) // 2] ^= 0x40
     path.write_bytes(data[: len(data) - cut])
     refused(65, "mission.lb", "up", "--deploy", good, "--host", "alpha", "--program", path)
+    refused(65, "mission.lb", "check", path)
 
 
 def test_a_deployment_that_does_not_fit_the_program_is_refused(lfield, good):

@@ -187,7 +187,7 @@ def test_a_bundle_is_signed_in_place_and_keeps_its_digest(
     )
     shutil.rmtree(own_settings / "keys" / "me")
     assert "no keys on this computer" in here("inspect", "mission.lfm").out[1]
-    assert "there are no keys of yours here" in here("sign", "mission.lfm").err[0]
+    assert "no keys of yours on this computer" in here("sign", "mission.lfm").err[0]
 
 
 def test_a_person_without_the_command_right_cannot_sign(here, lfield, team: Path) -> None:

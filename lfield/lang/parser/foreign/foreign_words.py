@@ -16,10 +16,10 @@ _METHOD = "write private void name(...) { ... } inside a resource, a coordinator
 _PRINT = "write print(...)"
 _IF = "write if (...) ... else if (...) ... else ..."
 _YIELD = "write return with the value; yield() only runs other threads"
-_NO_WAIT = "leave it out: a call returns when it is complete; of a future write f.await()"
+_NO_WAIT = "leave it out: a call returns when it is complete; for the result of a future f write f.await()"
 _NO_MODIFIER = "units have no modifier; leave it out"
 _ASYNC = "write async before the call of a portal, without parentheses: async arm.work()"
-_CONST = "leave it out; a constant is at the top level: const int NAME = 1;"
+_CONST = "leave it out here; const declares constants at the top level of a file: const int NAME = 1;"
 _EACH = "write for (int x : array) { ... }, with the type of the elements"
 _NODES = "L has no nodes and topics: write a resource with portals, and call these from a coordinator"
 _SLEEP = "write sleep(1.0), in seconds"
@@ -148,7 +148,7 @@ FOREIGN_FUNCTIONS = {
     "not": "write !(...)",
     "assert": 'write if (!(...)) throw new Exception("reason");',
     "await": _NO_WAIT,
-    **dict.fromkeys(("spawn", "launch", "go", "gather"), _TOGETHER),
+    **dict.fromkeys(("spawn", "launch", "go", "gather", "together"), _TOGETHER),
     "async": _ASYNC,
     **dict.fromkeys(("isinstance", "typeof", "type"), "every variable has one static type"),
     "open": "L reads no files: pass values as deployment arguments",
@@ -157,6 +157,7 @@ FOREIGN_FUNCTIONS = {
     ),
     **dict.fromkeys(("lock", "acquire"), "declare the portal synchronized"),
     **dict.fromkeys(("timeout", "wait_for"), "write within (seconds) { ... }"),
+    **dict.fromkeys(("wait_until", "waitUntil"), "write wait until (...);"),
     **dict.fromkeys(("until", "unless"), "write while (!(...)) or if (!(...))"),
     **dict.fromkeys(("exit", "quit", "abort"), 'write throw new Exception("reason");'),
     **dict.fromkeys(("repeat", "times"), "write for (int i = 0; i < n; i += 1) { ... }"),

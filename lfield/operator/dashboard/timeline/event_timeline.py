@@ -3,7 +3,7 @@
 Events are ordered by (timestamp, host, number). A timestamp is greater than those of all causes, except
 between hosts whose clocks differ by more than `lfield.hybrid_clock` follows. So the merge also keeps other
 known causes: the numbers of an incarnation, later incarnations after earlier ones, and of a hop
-`left` before `came` before `hopped`.
+`MigrationStarted` before `MigrationArrived` before `MigrationConfirmed`.
 """
 
 from __future__ import annotations
