@@ -207,7 +207,9 @@ class Shell(asyncio.Protocol):
 
     def crashed(self, reason: str | BaseException) -> None:
         """The driver itself has failed."""
-        self._on_broken_driver(f"the driver failed: {self._error_text(reason)}")
+        text = self._error_text(reason)
+        if not self._no_memory:  # else the safe states are commanded already
+            self._on_broken_driver(f"the driver failed: {text}")
 
     def _on_broken_driver(self, reason: str) -> None:
         if self._core is not None:
@@ -239,8 +241,6 @@ class Shell(asyncio.Protocol):
     def _free_memory(self) -> None:
         if not self._output.is_closing():
             os.kill(os.getpid(), signal.SIGKILL)
-
-    # -- opening --------------------------------------------------------------------------------------
 
     async def _open(self, message: OpenDevices) -> None:
         self._foreign = message.foreign_controlled

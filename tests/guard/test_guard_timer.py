@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 
 from thing_guard import Output, guard_of, known_thing
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.device import Device
 from lfield.guard.messages import Beat, GuardCall, Latched, OpenDevices, encode
+from lfield.guard.recording.guard_inputs import SafeStateRequested
+from lfield.guard.shell import SAFE_COMMAND_TIME
 from lfield.manifest import Instruction
 from lfield.simulate.jumping_loop import JumpingLoop, LoopClock
 
@@ -44,16 +47,17 @@ class Thing(Device):
         pass
 
 
-def test_messages_just_before_the_timer_do_not_delay_the_latch():
-    binding = DeviceBinding(
-        agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
-        ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],
-    )  # fmt: skip
+BINDING = DeviceBinding(
+    agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
+    ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],
+)  # fmt: skip
 
+
+def test_messages_just_before_the_timer_do_not_delay_the_latch():
     async def story():
         clock, output = LoopClock(), Output()
         shell = guard_of(Thing, output)
-        shell.data_received(encode(OpenDevices([binding], "", SILENCE, known_thing(GO))))
+        shell.data_received(encode(OpenDevices([BINDING], "", SILENCE, known_thing(GO))))
         await asyncio.sleep(0.01)
         start = clock.monotonic()
         shell.data_received(encode(GuardCall(1, "alpha.thing", "go", [], start, start + 9.0)))
@@ -65,6 +69,26 @@ def test_messages_just_before_the_timer_do_not_delay_the_latch():
         while not any(isinstance(message, Latched) for message in output.received):
             assert clock.monotonic() < start + SILENCE + 0.001
             await asyncio.sleep(0)
+        await shell.close()
+
+    with asyncio.Runner(loop_factory=CoarseLoop) as runner:
+        runner.run(story())
+
+
+def test_a_guard_without_memory_commands_the_safe_states_once_and_is_killed(monkeypatch):
+    signals, requests = [], []
+    monkeypatch.setattr("lfield.guard.shell.os.kill", lambda pid, number: signals.append(number))
+
+    async def story():
+        shell = guard_of(Thing, Output())
+        shell.data_received(encode(OpenDevices([BINDING], "", 10.0, known_thing(GO))))
+        await asyncio.sleep(0.01)
+        handle = shell._core.handle
+        monkeypatch.setattr(shell._core, "handle", lambda event: requests.append(event) or handle(event))
+        shell.crashed(MemoryError())
+        assert requests == [SafeStateRequested("", "its guard is out of memory")]
+        await asyncio.sleep(SAFE_COMMAND_TIME + 0.01)
+        assert signals == [signal.SIGKILL]
         await shell.close()
 
     with asyncio.Runner(loop_factory=CoarseLoop) as runner:
