@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+import threading
 from functools import partial
 
 import pytest
@@ -60,6 +61,10 @@ def test_standard_input_is_read_to_its_end(data: bytes, monkeypatch, tmp_path) -
     with open(tmp_path / "answers") as answers:
         monkeypatch.setattr(sys, "stdin", answers)
         asyncio.run(reading())
+        # The file stays open until the reader has ended: a later file can get the same descriptor.
+        for thread in threading.enumerate():
+            if thread.name == "operator input":
+                thread.join()
     assert found == [line[: 8 * MAX_LINE] for line in data.decode().splitlines()]
 
 
