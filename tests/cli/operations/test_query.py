@@ -58,6 +58,20 @@ def ask(folder, capsys):
     return asked
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--files Lift mission.dL",
+        "Lift --files mission.dL",
+        "Lift mission.dL --files",
+        "Lift --team 2 mission.dL --files",
+    ],
+)
+def test_the_mission_may_follow_an_option(words: str, folder, capsys) -> None:
+    assert main(["query", *words.split()]) == 0
+    assert "arm1" in capsys.readouterr().out
+
+
 def test_offers_are_a_table_and_compositions_a_tree(ask, monkeypatch):
     monkeypatch.setenv("COLUMNS", "140")
     status, out, err = ask("Lift where payload >= 0.1")
@@ -66,7 +80,7 @@ def test_offers_are_a_table_and_compositions_a_tree(ask, monkeypatch):
         "from the files: nothing is running, live attributes are unknown",
         "",
         "Lift (skill.material_handling.lifting)",
-        "RANK  WHO        HOST     HOW                         SCORE  ATTRIBUTES",
+        "RANK  AGENTS     HOST     HOW                         SCORE  ATTRIBUTES",
         "   1  arm1       alpha    direct                      0.xxx  stated: payload 20 kg, speed 0.5 m/s, "
         "environment terrestrial",
         "   2  arm2       bravo    direct                      0.xxx  stated: payload 1.2 kg, speed 0.5 m/s, "
