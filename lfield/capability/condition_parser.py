@@ -30,7 +30,7 @@ from lfield.capability.condition_tree import (
 from lfield.lang import messages, syntax
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
-from lfield.lang.scanner import KEYWORDS, Token, TokenKind, scan
+from lfield.lang.scanner import KEYWORDS, TokenKind, scan
 from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 
 #: The longest text that is read, in characters.
@@ -161,11 +161,8 @@ def _limit(s: TokenStream) -> int:
 
 def _end(s: TokenStream) -> None:
     if not s.at_end():
-        raise _unexpected(s.current)
-
-
-def _unexpected(token: Token) -> _ConditionError:
-    return _ConditionError(token.span, f"{token} is not expected here", "the condition ends before it")
+        hint = s.unit_hint() or "the condition ends before it"
+        raise _ConditionError(s.current.span, f"{s.current} is not expected here", hint)
 
 
 # --- from the tree of L to that of conditions -------------------------------------------------------------

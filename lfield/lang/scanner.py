@@ -30,6 +30,11 @@ FOREIGN_OPERATORS = frozenset(
 )
 
 
+#: A regular expression of the units that other languages write after a number, and the hint for them.
+_UNITS = "ms|s|min|h|[cmk]?m|deg|rad|[kmu]?g|k?Hz|[NVAW]"
+UNIT_HINT = "numbers have no units: write the value in SI units, such as m, s and rad"
+
+
 class TokenKind(Enum):
     """The kind of a token. Keywords and operators are distinguished by their text."""
 
@@ -221,9 +226,14 @@ def _number_hint(text: str) -> str | None:
         return f"write {plain[:40]}"
     if suffixed := re.fullmatch(r"(\d+(?:\.\d+)?)[fFdDlLuU]{1,3}", text):
         return f"write {suffixed[1][:40]}"
-    if re.fullmatch(r"\d+(\.\d+)?(ms|s|min|h|[cmk]?m|deg|rad|[kmu]?g|k?Hz)", text):
-        return "numbers have no units: write the value in SI units, such as m, s and rad"
+    if re.fullmatch(rf"\d+(\.\d+)?({_UNITS})", text):
+        return UNIT_HINT
     return None
+
+
+def is_unit(token: Token) -> bool:
+    """Whether a name is the sign of a unit, which a number of another language may have."""
+    return token.kind is TokenKind.NAME and re.fullmatch(_UNITS, token.text) is not None
 
 
 def _character_hint(text: str) -> str | None:

@@ -110,7 +110,7 @@ def _table(offers: Sequence[Offer], attributes: _Attributes) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for column in ("RANK", "WHO", "HOST", "HOW", "SCORE", "ATTRIBUTES"):
+    for column in ("RANK", "AGENTS", "HOST", "HOW", "SCORE", "ATTRIBUTES"):
         table.add_column(column, justify="right" if column in ("RANK", "SCORE") else "left")
     for rank, offer in enumerate(offers, 1):
         description = attributes.describe(offer.facts)

@@ -12,7 +12,7 @@ from typing import Self
 from msgspec.structs import replace
 
 from lfield.lang import messages
-from lfield.lang.scanner import Scan, Token, TokenKind
+from lfield.lang.scanner import UNIT_HINT, Scan, Token, TokenKind, is_unit
 from lfield.lang.syntax import Expr
 from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import Diagnostic, Diagnostics, Span
@@ -140,7 +140,7 @@ class TokenStream:
         """Take the `;` that ends a statement; at the end of a line a missing one is reported and assumed."""
         if self.accept(";"):
             return
-        self.report(messages.MISSING_SEMICOLON, self.after_previous(), hint=hint)
+        self.report(messages.MISSING_SEMICOLON, self.after_previous(), hint=self.unit_hint() or hint)
         if not (self.first_on_line() or self.at("}", "{")):
             raise SyntaxRecovery
 
@@ -151,6 +151,7 @@ class TokenStream:
         self.report(
             messages.MISSING_CLOSE,
             self.after_previous(),
+            hint=self.unit_hint(),
             symbol=symbol,
             opening=opening.text,
             line=opening.span.line,
@@ -175,6 +176,11 @@ class TokenStream:
         """The place right after the previous token, where a token is missing."""
         end = self.previous.span.end
         return Span(self.previous.span.source, end, end)
+
+    def unit_hint(self) -> str | None:
+        """The hint for a number that is followed by its unit; None for other tokens."""
+        is_number = self.previous.kind in (TokenKind.INT, TokenKind.REAL)
+        return UNIT_HINT if is_number and is_unit(self.current) else None
 
     # --- reporting ------------------------------------------------------------------------------------
 

@@ -69,6 +69,8 @@ def test_valid_condition_compiles(text: str) -> None:
          "such as distance(12.0, 4.0), in metres"),
         ("ready ? ready : ready", "?", "L has no ? : expression", ""),
         ("payload >= 2 ready", "ready", "'ready' is not expected here", "the condition ends before it"),
+        ("payload >= 2 kg", "kg", "'kg' is not expected here",
+         "numbers have no units: write the value in SI units, such as m, s and rad"),
     ],
 )  # fmt: skip
 def test_error_is_reported_at_its_place(text: str, place: str, message: str, hint: str) -> None:
