@@ -480,7 +480,7 @@ class DeviceError(PluginError):
 class DeviceNotSetUp(DeviceError):
     """Parameters of a device differ from those that its binding requires; the reason names each."""
 
-    code, remedy = "device-not-set-up", "`lfield setup MISSION` writes them"
+    code, remedy = "device-not-set-up", "`lfield setup --deploy MISSION` writes them"
 
 
 class ProvisionError(LfieldError):

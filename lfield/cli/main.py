@@ -159,9 +159,7 @@ class _Parser(argparse.ArgumentParser):
     def _match_arguments_partial(self, actions: Any, arg_strings_pattern: str) -> list[int]:
         # Before Python 3.13.1, an absent optional argument is complete at the first option: MISSION of
         # `query Lift --files MISSION` would be unknown. It is left for the strings after the options ("O").
-        counts: list[int] = super()._match_arguments_partial(  # type: ignore[misc]  # private
-            actions, arg_strings_pattern
-        )
+        counts: list[int] = super()._match_arguments_partial(actions, arg_strings_pattern)
         while counts and counts[-1] == 0 and "O" in arg_strings_pattern[sum(counts) :]:
             counts.pop()
         return counts

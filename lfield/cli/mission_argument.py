@@ -16,14 +16,13 @@ if TYPE_CHECKING:
     from lfield.operator.targets import TargetTeam
 
 
-def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
-    """Declare the mission: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
-    named = parser.add_mutually_exclusive_group(required=required)
-    description = "deployment (.dL) or bundle (.lfm)" + (
-        ""
-        if required
-        else " (default: all missions that run on this computer, else the hosts of the inventory)"
-    )
+def add_mission(parser: argparse.ArgumentParser, default: str = "") -> None:
+    """Declare the mission: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`.
+
+    It is required unless `default` says what the command does without a mission.
+    """
+    named = parser.add_mutually_exclusive_group(required=not default)
+    description = "deployment (.dL) or bundle (.lfm)" + (f" (default: {default})" if default else "")
     # Positional arguments stand first in the help.
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=description)
     named.add_argument(
@@ -93,7 +92,7 @@ def add_running_mission(parser: argparse.ArgumentParser) -> None:
 
     Default: all runs on this computer, and without one the hosts of the inventory.
     """
-    add_mission(parser, required=False)
+    add_mission(parser, "all missions that run on this computer, else the hosts of the inventory")
     parser.add_argument(
         "--run", metavar="ID", default="", help="id of a run on this computer, as printed by 'lfield ps'"
     )

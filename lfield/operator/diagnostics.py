@@ -311,7 +311,8 @@ async def endpoints(
 
 def _not_open(device: DeviceBinding, problem: str, setup: str, notes: Sequence[str]) -> DiagnosticFinding:
     if not setup:
-        hint = "" if "log in again" in problem else "check power, cable, endpoint and ids"
+        # Some problems contain the command that solves them.
+        hint = "" if "'sudo " in problem else "check power, cable, endpoint and ids"
         return DiagnosticFinding("endpoint", "problem", problem, hint)
     details = [note.removeprefix(device.name).lstrip(": ") for note in notes]
     return DiagnosticFinding("endpoint", "problem", problem, f"{setup} (with a confirmation)", details)

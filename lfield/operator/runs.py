@@ -252,8 +252,8 @@ def no_runs_hint() -> str:
     """The searched directories, and the remedy for runs that are elsewhere."""
     hidden = unreadable_hint()
     return (
-        f"searched {listed(searched_dirs())}; for a run with another XDG_RUNTIME_DIR set the same "
-        f"value{f'; {hidden}' if hidden else ''}"
+        f"searched {listed(searched_dirs())}; if a mission was started with another XDG_RUNTIME_DIR, set "
+        f"this variable to the same value{f'; {hidden}' if hidden else ''}"
     )
 
 

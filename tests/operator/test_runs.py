@@ -357,7 +357,7 @@ def test_the_hint_without_a_run_names_the_searched_folders(tmp_path, monkeypatch
         tmp_path / "shared" / f"lfield-{os.geteuid()}",
     ):
         assert str(place) in said
-    assert "another XDG_RUNTIME_DIR set the same value" in said
+    assert "another XDG_RUNTIME_DIR, set this variable" in said
     assert (str(tmp_path / "shared" / "lfield-*") in said) == (os.geteuid() == 0)
 
 

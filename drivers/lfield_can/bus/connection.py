@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import fcntl
 import logging
 import os
@@ -19,6 +20,7 @@ from typing import Any
 import can
 
 from lfield.driver import DeviceError
+from lfield.driver.serial.serial_port import permission_cure
 from lfield_can.bus.endpoint import Endpoint
 from lfield_can.bus.frames import BUS_LOST, Frame, Listener
 
@@ -39,6 +41,12 @@ LONGEST_LINE = 4096
 
 #: PCAN_ERROR_BUSOFF of PCAN-Basic.
 PCAN_OFF = 0x10
+
+#: Reasons why an interface cannot be opened, by the error of the kernel.
+_OPEN_ERRORS = {
+    errno.EAFNOSUPPORT: "this kernel has no SocketCAN: load it by 'sudo modprobe can_raw'",
+    errno.ENODEV: "there is no such interface: is the adapter connected? 'ip link' lists the interfaces",
+}
 
 # These loggers write every problem with a traceback; the driver's notes report it instead.
 for _library in ("can", "canopen", "cantools"):
@@ -73,7 +81,9 @@ def lock_tty(path: str) -> int:
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise DeviceError("endpoint", f"cannot open {path}: {_error_text(error)}") from None
+        is_refused = isinstance(error, PermissionError)
+        reason = f"no permission; {permission_cure(path)}" if is_refused else _error_text(error)
+        raise DeviceError("endpoint", f"cannot open {path}: {reason}") from None
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -246,6 +256,8 @@ class Connection:
 
 def _error_text(error: Exception) -> str:
     """The first line of an exception, as the end of a sentence; some contain a traceback."""
+    if isinstance(error, OSError) and error.errno in _OPEN_ERRORS:
+        return _OPEN_ERRORS[error.errno]
     text = (getattr(error, "strerror", None) or str(error) or repr(error)).strip()
     return text.splitlines()[0][:200]
 

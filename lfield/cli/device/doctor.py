@@ -7,11 +7,10 @@ import json
 import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.mission_argument import add_bindings, setup_command
+from lfield.cli.mission_argument import add_bindings, add_mission, mission_path, named_mission, setup_command
 
 if TYPE_CHECKING:
     from lfield.driver.plugins import Plugins
@@ -22,12 +21,7 @@ _MARKS = {"ok": "ok      ", "note": "note    ", "warning": "warning ", "problem"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--deploy",
-        metavar="MISSION",
-        type=Path,
-        help="also test every device of this deployment or bundle",
-    )
+    add_mission(parser, "check this computer, without the devices of a mission")
     add_bindings(parser)
     parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
     parser.add_argument("--json", action="store_true", help="print one JSON object per finding")
@@ -54,7 +48,9 @@ def run(args: argparse.Namespace) -> int:
         report(finding)
     # On the loop of a host, whose lateness is measured.
     event_loop.run(
-        _check_system(plugins, report) if args.deploy is None else _check_devices(args, plugins, report)
+        _check_system(plugins, report)
+        if named_mission(args) is None
+        else _check_devices(args, plugins, report)
     )
     return (
         exit_status.UNAVAILABLE
@@ -82,7 +78,8 @@ async def _check_devices(
     from lfield.mission.loader import open_mission
     from lfield.operator.diagnostics import drivers, endpoints, scheduling_lateness
 
-    mission = open_mission(args.deploy, devices=args.devices)
+    path = mission_path(args)
+    mission = open_mission(path, devices=args.devices)
     team = mission.team
     hosts = [team.number(name) for name in ([team.find_host(args.host)] if args.host else team.hosts)]
     devices = mission.bindings.of([member.id for host in hosts for member in team.members_on(host)])
@@ -93,7 +90,7 @@ async def _check_devices(
     on_finding(
         await scheduling_lateness(mission.bindings.silence, SystemClock(), bound=mission.world == "hardware")
     )
-    setup = setup_command(args.deploy, args.host or "", args.devices)
+    setup = setup_command(path, args.host or "", args.devices)
     await endpoints(used_drivers, devices, SystemClock(), on_finding, setup)
 
 

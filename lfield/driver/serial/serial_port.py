@@ -92,7 +92,7 @@ class SerialPort:
             place = f"serial:{self.path}:{self.baud}"
             reason = self._reason(error)
             if getattr(error, "errno", None) == errno.ENOENT:
-                reason += "; is the device connected? `lfield doctor` lists the ports"
+                reason += "; is the device connected?"
             raise DeviceError("endpoint", f"cannot open {place}: {reason}") from None
 
     def _attach(self, make: Any) -> None:

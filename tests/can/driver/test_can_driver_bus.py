@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import pty
 import socket
@@ -20,6 +21,7 @@ from loopback import own_address
 from lfield.errors import DeviceError
 from lfield_can.bus import connection, socketcand
 from lfield_can.bus.can_bus import Bus
+from lfield_can.bus.connection import lock_tty
 from lfield_can.bus.frames import Frame, Listener
 from lfield_can.bus.socketcand import Socketcand
 
@@ -381,15 +383,31 @@ def test_silent_server_is_an_error_within_its_time(monkeypatch):
         mute.stop()
 
 
-@pytest.mark.parametrize(
-    "endpoint", ["socketcand:127.0.0.1:1/can0", "slcan:/dev/nothing-here", "socketcan:nothing0"]
-)
-def test_missing_interface_is_an_error_at_once(endpoint):
-    async def story(bench):
-        raise AssertionError("the device must not be opened")
+async def _must_not_open(bench):
+    raise AssertionError("the device must not be opened")
 
-    with pytest.raises(DeviceError, match="cannot open"):
-        run(endpoint, story)
+
+@pytest.mark.parametrize(
+    ("endpoint", "reason"),
+    [
+        ("socketcand:127.0.0.1:1/can0", ""),
+        ("slcan:/dev/nothing-here", ""),
+        # This kernel has no SocketCAN, or no such interface.
+        ("socketcan:nothing0", ".*(sudo modprobe can_raw|ip link)"),
+    ],
+)
+def test_missing_interface_is_an_error_at_once(endpoint, reason):
+    with pytest.raises(DeviceError, match=f"cannot open {reason}"):
+        run(endpoint, _must_not_open)
+
+
+def test_a_refused_adapter_names_the_group_and_the_login(monkeypatch):
+    def refused(*_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("lfield_can.bus.connection.os.open", refused)
+    with pytest.raises(DeviceError, match=r"no permission; 'sudo usermod -aG .*then log in again"):
+        lock_tty("/dev/ttyACM7")
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ a Python function.
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from importlib import import_module
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from lfield.cli.main import COMMANDS, MODULES
+from lfield.errors import LfieldError
 from lfield.text.number_arguments import real_above_0, real_between, whole_between
 
 #: Invalid or useless numbers; Python parses no number of 5,000 digits.
@@ -58,3 +60,21 @@ def test_the_sentence_names_the_bounds(reads, good: str, value: float, bad: str,
     assert reads(good) == value
     with pytest.raises(argparse.ArgumentTypeError, match=f"must be {sentence}, not '{bad}'"):
         reads(bad)
+
+
+def _remedies(base: type[LfieldError]) -> Iterator[str]:
+    yield base.remedy
+    for below in base.__subclasses__():
+        yield from _remedies(below)
+
+
+def test_the_commands_in_remedies_are_accepted() -> None:
+    commands = {
+        words for remedy in _remedies(LfieldError) for words in re.findall(r"`lfield ([^`]+ [^`]+)`", remedy)
+    }
+    assert len(commands) > 3
+    for command in commands:
+        name, *words = command.split()
+        parser = argparse.ArgumentParser(exit_on_error=False)
+        import_module(MODULES[name]).add_arguments(parser)
+        assert parser.parse_known_args(words)[1] == [], command
