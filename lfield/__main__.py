@@ -6,7 +6,7 @@ exception during an import would print a traceback, or crash in a C module. Pyth
 """
 
 # `signal` is not used, because it imports `enum`, which takes longer than this whole module.
-import _signal  # type: ignore[import-not-found]
+import _signal  # type: ignore[import-not-found]  # has no types
 import gc
 import sys
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from lfield.testing.mission.call_record import RecordedCall
 from lfield.testing.mission.mission_team import MissionTeam
@@ -83,9 +84,9 @@ def tuple_box(team: MissionTeam, call: RecordedCall) -> str:
     )
 
 
-def fields(tuple_: object) -> Iterator[str]:
+def fields(tuple_: Any) -> Iterator[str]:
     """The fields of a tuple, without the leading name except for rows."""
-    values = tuple_.values  # type: ignore[attr-defined]
+    values = tuple_.values
     yield from values if values[0] == "row" else values[1:]
 
 

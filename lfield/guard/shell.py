@@ -201,13 +201,13 @@ class Shell(asyncio.Protocol):
         reason = context.get("exception") or context.get("message", "")
         if "future" in context or "task" in context:
             # No task waited for the failed call any more: this is no reason to stop a vehicle.
-            self.note("the driver", log_messages.DRIVER_TASK_FAILED.line(reason=self._error_text(reason)))
+            self.note("the driver", log_messages.DRIVER_TASK_FAILED.line(reason=self._on_error(reason)))
         else:
             self.crashed(reason)
 
     def crashed(self, reason: str | BaseException) -> None:
         """The driver itself has failed."""
-        text = self._error_text(reason)
+        text = self._on_error(reason)
         if not self._no_memory:  # else the safe states are commanded already
             self._on_broken_driver(f"the driver failed: {text}")
 
@@ -218,8 +218,8 @@ class Shell(asyncio.Protocol):
             self._send(OpenFailed([("", "DeviceException", reason)]))
             self._finish(1)
 
-    def _error_text(self, error: str | BaseException) -> str:
-        """The text of a driver's exception; ends the guard if memory is exhausted."""
+    def _on_error(self, error: str | BaseException) -> str:
+        """Handles an exception of the driver; returns its text. Ends the guard if memory is exhausted."""
         if isinstance(error, MemoryError):
             self._out_of_memory()
         return error if isinstance(error, str) else repr(error)
@@ -333,7 +333,7 @@ class Shell(asyncio.Protocol):
         try:
             moving = self._driver.devices[name].moving()
         except Exception as error:  # third-party code; an unknown state counts as moving
-            moving = f"unknown, the driver failed: {self._error_text(error)}"
+            moving = f"unknown, the driver failed: {self._on_error(error)}"
         self._handle(guard_inputs.MotionReported(name, moving))
 
     async def _execute(self, call: GuardCall) -> None:
@@ -351,7 +351,7 @@ class Shell(asyncio.Protocol):
             reason = f"{call.instruction}(): {error}"
             self._handle(guard_inputs.CallRefused(call.token, "DeviceException", reason))
         except Exception as error:  # third-party code; the device is made safe
-            problem = f"the driver failed in {call.instruction}(): {self._error_text(error)}"
+            problem = f"the driver failed in {call.instruction}(): {self._on_error(error)}"
             self._handle(guard_inputs.CallCrashed(call.token, problem))
         finally:
             self._calls.pop(call.token, None)
@@ -362,7 +362,7 @@ class Shell(asyncio.Protocol):
         except DeviceError as error:
             self._handle(guard_inputs.SafeStateFailed(name, error.reason))
         except Exception as error:  # third-party code; the core retries
-            reason = f"the driver failed: {self._error_text(error)}"
+            reason = f"the driver failed: {self._on_error(error)}"
             self._handle(guard_inputs.SafeStateFailed(name, reason))
         else:
             self._handle(guard_inputs.SafeStateReached(name))

@@ -133,6 +133,7 @@ class ServiceServer:
                 if apply_revocations(self._admission, message.list, self._handler.note):
                     self.reauthorise()
             case _ if type(message).__module__.endswith("service_messages"):
+                # The module has the classes of `ServiceMessage` only.
                 spawn(self._answer(session.link, message))  # type: ignore[arg-type]
             case _:
                 raise WireError(

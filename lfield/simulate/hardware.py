@@ -198,7 +198,7 @@ def _method(instruction: Instruction) -> Any:
     parameters = [
         Parameter(f"p{n}", Parameter.POSITIONAL_ONLY) for n in range(len(instruction.parameters) + 1)
     ]
-    method.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    method.__signature__ = Signature(parameters)  # type: ignore[attr-defined]  # as `inspect` documents
     return method
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import random
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from lfield.driver.sims import Sim, SimOnLoop
 from lfield.errors import LfieldError, MissionTestError, PluginError
@@ -95,5 +95,5 @@ def wait_until_serving(fakes: Mapping[K, CabledFake], timeline: EventQueue) -> d
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are exceptions of the test."""
 
-    def error(self, message: str) -> None:  # type: ignore[override]
+    def error(self, message: str) -> NoReturn:
         raise MissionTestError(f"{self.prog}: {message}")

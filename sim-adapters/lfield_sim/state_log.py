@@ -37,7 +37,7 @@ class StateLog:
         self._written: dict[tuple[str, str], str] = {}
         try:
             # Unbuffered, so that no line is lost however the simulated device ends.
-            self._file = open(path, "wb", buffering=0) if path else None  # noqa: SIM115
+            self._file = open(path, "wb", buffering=0) if path else None  # noqa: SIM115  # closed by `close`
         except OSError as error:
             raise OutputFileError(path, error.strerror or str(error)) from None
         self.write_changes()

@@ -196,6 +196,22 @@ def test_no_docstring_begins_without_a_subject() -> None:
     ] == []
 
 
+#: A comment that switches a check off, without a reason behind it.
+SILENCED = re.compile(r"# (?:type: ignore\[[\w, -]+\]|noqa: [A-Z0-9, ]+)$")
+
+
+def test_ignored_findings_have_a_reason_beside_or_above() -> None:
+    found = []
+    for path in files("lfield", "drivers", "sim-adapters", "examples"):
+        lines = ["", "", *path.read_text(encoding="utf-8").splitlines()]
+        found += [
+            f"{name_of(path)}: {line.strip()}"
+            for above, before, line in zip(lines, lines[1:], lines[2:], strict=False)
+            if SILENCED.search(line) and not any(each.lstrip().startswith("#") for each in (above, before))
+        ]
+    assert found == []
+
+
 #: Constants of other programs: Linux, getconf, OpenSSL, uv, MAVLink.
 FOREIGN_CONSTANTS = {
     *("TCP_NOTSENT_LOWAT", "TIME_WAIT", "PIPE_BUF", "AF_CAN", "X509_V_FLAG_NO_CHECK_TIME"),

@@ -319,7 +319,7 @@ def _pieces(tree: condition_tree.ConditionExpr) -> Iterator[condition_tree.Condi
             yield from _pieces(right)
         case condition_tree.ConditionBinary(operator="<" | "<=" | ">" | ">=" as sign, left=left, right=right):
             if isinstance(right, condition_tree.ConditionCall):
-                left, right, sign = right, left, _MIRRORED[sign]  # type: ignore[assignment]
+                left, right, sign = right, left, _MIRRORED[sign]  # type: ignore[assignment]  # an operator too
             function = "min" if sign in (">", ">=") else "max"
             if isinstance(left, condition_tree.ConditionCall) and left.function.span.text == function:
                 for argument in left.arguments:

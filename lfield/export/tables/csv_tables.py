@@ -183,7 +183,7 @@ class _DeviceTable:
     def __init__(self, info: MissionInfo, device: str) -> None:
         self._quantities = info.quantities(device)
         # Hosts may report more devices than a process may have files.
-        self._rows = tempfile.SpooledTemporaryFile(_IN_MEMORY, "w+", encoding="utf-8", newline="")  # noqa: SIM115
+        self._rows = tempfile.SpooledTemporaryFile(_IN_MEMORY, "w+", encoding="utf-8", newline="")  # noqa: SIM115  # closed with the table
         self._writer = csv.writer(self._rows, lineterminator="\n")
         self._columns = {("time", ""): 0, ("host", ""): 1, ("silent", "s"): 2}
         for name, quantity in self._quantities.items():

@@ -130,7 +130,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
         #: The seconds for which the process is held from now on, and whether it is held.
         self._hold: float | None = None
         self._held = False
-        self.set_task_factory(_pinned)  # type: ignore[arg-type]
+        self.set_task_factory(_pinned)  # type: ignore[arg-type]  # typeshed demands a generic function
 
     def time(self) -> float:
         """The machine's clock for timers."""
@@ -253,6 +253,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
     def _write_to_self(self) -> None:
         """Has no effect: the process has no threads."""
 
+    # Any executor is accepted, since there are no threads.
     def run_in_executor(self, _: object, func: Callable[..., Any], *args: Any) -> Any:  # type: ignore[override]
         """Runs work of a thread, mostly of a disk: it takes time while others continue."""
         future = self.create_future()

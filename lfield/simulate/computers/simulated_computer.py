@@ -114,13 +114,13 @@ class _Loop(ProcessLoop):
         super().__init__(process.computer.machine)
         self._process, self._computer = process, process.computer
 
-    async def create_server(  # type: ignore[override]
+    async def create_server(  # type: ignore[override]  # fewer options
         self, make_protocol: Callable[[], asyncio.Protocol], host: str, port: int, **_: Any
     ) -> ListeningPort:
         """See asyncio; on the simulated network."""
         return self._computer.network.listen(self, host, port, make_protocol)
 
-    async def create_connection(  # type: ignore[override]
+    async def create_connection(  # type: ignore[override]  # fewer options
         self, make_protocol: Callable[[], asyncio.Protocol], host: str = "", port: int = 0, **_: Any
     ) -> tuple[asyncio.Transport, asyncio.Protocol]:
         """See asyncio; on the simulated network."""
@@ -128,7 +128,7 @@ class _Loop(ProcessLoop):
             unsupported("use a socket")
         return await self._computer.network.connect(self, make_protocol, host, port)
 
-    async def subprocess_exec(  # type: ignore[override]
+    async def subprocess_exec(  # type: ignore[override]  # fewer options
         self, make_protocol: Callable[[], asyncio.SubprocessProtocol], *command: str, **_: Any
     ) -> tuple[asyncio.SubprocessTransport, asyncio.SubprocessProtocol]:
         """See asyncio; `python -m MODULE` is one of the computer's programs."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import cast
 
 from lfield.errors import DoubleError, MissionTestError
 
@@ -59,8 +60,7 @@ def initial_faults(fakes: object) -> Mapping[str, Sequence[str]]:
             raise MissionTestError(
                 f"fakes: the faults of {device} are {faults!r}; give a list of texts, as in ['battery=0.3']"
             )
-    found: Mapping[str, Sequence[str]] = fakes  # type: ignore[assignment]
-    return found
+    return cast("Mapping[str, Sequence[str]]", fakes)
 
 
 def doubles(value: object) -> Mapping[str, object]:

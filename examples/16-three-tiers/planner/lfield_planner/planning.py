@@ -54,7 +54,7 @@ def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: fl
 
 
 def _silent() -> highspy.Highs:
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]  # has no types
     for option, value in (
         ("output_flag", False),
         ("threads", 1),

@@ -62,6 +62,7 @@ def _value(expr: tree.Expr, values: dict[tree.Expr, Value]) -> Value:
         case tree.Not():
             return not constant_value(expr.operand)
         case tree.Negate():
+            # The checker has accepted numbers only.
             return _number(expr, operator.neg(constant_value(expr.operand)))  # type: ignore[arg-type]
         case tree.Logical():
             left = values[expr.left]
