@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+
+from msgspec import Struct
 
 from lfield.text.suggestions import did_you_mean
 
@@ -22,8 +23,7 @@ BASE = ("m", "kg", "s", "A", "K", "mol", "cd", "rad", "B")
 Dimension = tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class MeasurementUnit:
+class MeasurementUnit(Struct, frozen=True):
     """A unit: `amount * factor + offset` is the amount in SI. The conversion is exact, except for multiples
     of pi.
     """

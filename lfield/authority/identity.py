@@ -17,10 +17,11 @@ import calendar
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Literal
 from urllib.parse import quote, unquote
+
+from msgspec import Struct
 
 
 class Right(StrEnum):
@@ -48,8 +49,7 @@ Kind = Literal["host", "person", "local", "anonymous"]
 MAX_NAME = 128
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(Struct, frozen=True):
     """An identity; `str()` is its name in messages.
 
     `local` is a user of this computer, identified by the kernel (`name` is the user name). `serial` is the

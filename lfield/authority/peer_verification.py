@@ -20,8 +20,10 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from typing import Literal
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.authority.identity import NO_RIGHTS, Identity, Right, sorted_rights
 
@@ -35,8 +37,7 @@ PeerStage = Literal["new", "greeted", "linked"]
 _FINISHING_RIGHTS = frozenset({Right.OBSERVE, Right.STOP})
 
 
-@dataclass(frozen=True, slots=True)
-class RevocationList:
+class RevocationList(Struct, frozen=True):
     """A parsed revocation list: the higher `number` is newer; `at` is its issue time, seconds since 1970
     UTC."""
 
@@ -58,8 +59,7 @@ class RevocationList:
 NONE_REVOKED = RevocationList()
 
 
-@dataclass(frozen=True, slots=True)
-class AdmissionDecision:
+class AdmissionDecision(Struct, frozen=True):
     """The decision about an authenticated peer; `reason` is the reason for a restriction.
 
     `finish`: a host may stop and be stopped, and operations under way end, hops included; no new ones start.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
+
+from msgspec import Struct, field
 
 from lfield.capability.model import Registry
 from lfield.capability.offer import AgentSource, Fact, Offer, Rejection
@@ -13,8 +14,7 @@ from lfield.operator.query_parser import CapabilityQuery
 from lfield.operator.team_query import PrimitiveAnswer
 
 
-@dataclass(frozen=True, slots=True)
-class KnownTeam:
+class KnownTeam(Struct, frozen=True):
     """The known team: the hosts that answered, and the reasons why the others did not."""
 
     team: AgentSource

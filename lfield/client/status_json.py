@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -38,7 +37,7 @@ def _host_data(host: HostState) -> dict[str, Any]:
         "coordinators": [_coordinator(known) for known in status.coordinators],
         "linked": list(host.links),
         "away": dict(host.away),
-        "links": {peer: dataclasses.asdict(link) for peer, link in host.links.items()},
+        "links": {peer: asdict(link) for peer, link in host.links.items()},
         "observers": host.report.observers,
         "devices": {device.name: device.telemetry for device in devices},
         "silences": {device.name: device.silent for device in devices if device.silent is not None},

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import replace
 from functools import cached_property, partial
+
+from msgspec.structs import replace
 
 from lfield.authority.identity import Identity
 from lfield.authority.peer_verification import AdmissionDecision

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lfield.errors import LfieldError
 from lfield.net.transport import Transport
@@ -34,8 +35,7 @@ HostSnapshots = Mapping[str, EventBatch | LfieldError]
 OrderResults = Mapping[str, EmergencyStopResult | LfieldError]
 
 
-@dataclass(frozen=True, slots=True)
-class TeamConnection:
+class TeamConnection(Struct, frozen=True):
     """The hosts of one team, as one person reaches them.
 
     `keys`: those of this person, None for none. `crl`: a revocation list for hosts with an older one.

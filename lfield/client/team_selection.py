@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lfield.errors import NoMissionRunning, UsageError
 
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
     from lfield.operator.targets import TargetTeam
 
 
-@dataclass(frozen=True, slots=True)
-class TeamSelection:
+class TeamSelection(Struct, frozen=True):
     """A selection of hosts.
 
     `mission` is a deployment or bundle, None for the runs on this computer; `run` the id of a run on this

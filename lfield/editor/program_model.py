@@ -7,9 +7,11 @@ a declaration has changed; `step` checks one part, so that a request never waits
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
+
+from msgspec.structs import replace
 
 from lfield.editor.program_parts import PartPlace, ProgramFile, ProgramPart, parse_part
 from lfield.lang import messages, tree

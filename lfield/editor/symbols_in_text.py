@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
+
+from msgspec.structs import replace
 
 from lfield.editor.cursor import Cursor, DeclaredLocal
 from lfield.editor.program_model import ProgramModel

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
+from msgspec import Struct
 
 from lfield.geodata.area_file import check_shape, read_area_file
 from lfield.geodata.mission_files import PlanReport, PlanRequest, PlanZone, Position
@@ -17,8 +17,7 @@ from lfield.geodata.shapes import Shape
 MAX_DRAWN = 20_000
 
 
-@dataclass(frozen=True, slots=True)
-class MapDrawing:
+class MapDrawing(Struct, frozen=True):
     """One line, closed line or group of points of the file `name`; circles are polygons.
 
     `way` and `rally` have a number for each point.

@@ -7,9 +7,10 @@ unless the mission is simulated; then it gets a simulated device.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
 
 import msgspec
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.driver_index import DriverInfo, DriverLookup
@@ -47,8 +48,7 @@ MAX_DISTANCE, MAX_ALTITUDE, MIN_ALTITUDE = 1e6, 1e5, -1e4
 NeededDevices = Mapping[str, Mapping[str, str]]
 
 
-@dataclass(frozen=True, slots=True)
-class RecoverySettings:
+class RecoverySettings(Struct, frozen=True):
     """The hosts that decide that a coordinator is lost (appendix I), and the lease in seconds.
 
     A majority of the `members` decides. No members in a devices file means all hosts.
@@ -75,8 +75,7 @@ class RecoverySettings:
         return f"a lease of {self.lease:g} s among {listed(self.members)}"
 
 
-@dataclass(frozen=True, slots=True)
-class ReservationTimes:
+class ReservationTimes(Struct, frozen=True):
     """Times of `reserve` in seconds: lease of a reservation without a heartbeat of its holder, and the time
     that others wait for a reserved resource; `waits` are those of single resources."""
 
@@ -85,15 +84,13 @@ class ReservationTimes:
     waits: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class MissionStart:
+class MissionStart(Struct, frozen=True):
     """Hosts (`without`) that a restarted coordinator does not wait for."""
 
     without: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Frames:
+class Frames(Struct, frozen=True):
     """The team's frame: its `origin` on the Earth, and the poses of hosts and agents in it.
 
     The pose of an agent takes precedence over that of its host. `everybody` are all agents in the order of
@@ -122,8 +119,7 @@ class Frames:
         return Placement(self.origin, pose, self.everybody.index(agent) if agent in self.everybody else 0)
 
 
-@dataclass(frozen=True, slots=True)
-class Bindings:
+class Bindings(Struct, frozen=True):
     """Limits of agents, and devices by agent and field; times are in seconds.
 
     `attributes` are the stated values of single agents in units of the registry, a set as its members.

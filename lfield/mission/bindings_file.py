@@ -42,8 +42,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from lfield.capability.model import Attribute
 from lfield.capability.registry_reader.attribute_values import read_values

@@ -17,10 +17,10 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+from msgspec import Struct
 
 from lfield import __version__, exit_status
 from lfield.errors import BundleError, InputFileError, NoHomeFolder, OutputFileError
@@ -46,8 +46,7 @@ class BuildFailed(Exception):
         super().__init__(f"build failed (exit status {status})")
 
 
-@dataclass(frozen=True, slots=True)
-class BuildRequest:
+class BuildRequest(Struct, frozen=True):
     """Input of a build: a deployment with its files, or a bundle with other bindings.
 
     `as_json`: an error is also printed as a JSON object.

@@ -140,7 +140,7 @@ class Mission:
         Raises BindingError when they must be named and are not; `load` checks this.
         """
         chosen = self.bindings.recovery
-        return chosen.among(self.team.hosts) if self.fenced else replace(chosen, members=())
+        return chosen.among(self.team.hosts) if self.fenced else structs.replace(chosen, members=())
 
     def on_fakes(self) -> Mission:
         """The same mission with all devices simulated; its warnings list the selected devices."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+
+from msgspec import Struct
 
 from lfield.errors import AddressError, HandshakeError, KeysError, LfieldError, NoListener, WireError
 from lfield.net.handshake import Handshake
@@ -39,8 +40,7 @@ RETRY_DELAY = 0.1
 OrderMessage = EmergencyStop | Pause
 
 
-@dataclass(frozen=True, slots=True)
-class Request(Generic[T]):
+class Request(Struct, Generic[T], frozen=True):
     """A request: the message, the type of its answer, and the time-out in seconds.
 
     `is_retried`: an idempotent request, repeated until the time-out when a link ends without an answer (in a

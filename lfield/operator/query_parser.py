@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.capability.condition_compiler import read_query
 from lfield.capability.condition_tree import Mistake
@@ -28,8 +29,7 @@ _QUESTION = re.compile(
 MAX_LENGTH = 4000
 
 
-@dataclass(frozen=True, slots=True)
-class CapabilityQuery:
+class CapabilityQuery(Struct, frozen=True):
     """A query: any of the primitives, with condition and order."""
 
     text: str

@@ -24,13 +24,12 @@ import struct
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 from lfield.driver.binding import longest_rest
 from lfield.errors import OutputFileError
@@ -100,8 +99,7 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     zenoh: ZenohConfig | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
+class Run(Struct, frozen=True):
     """A run in its directory, which belongs to the user `owner`.
 
     `is_foreign`: the owner is neither the present user, nor root, nor a service. `named`: the user has named
@@ -133,8 +131,7 @@ class Run:
 # --- beginning one ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class ControlSockets:
+class ControlSockets(Struct, frozen=True):
     """The control sockets of the hosts of a run by name, and the lock that marks the run as alive.
 
     Processes that inherit `lock` keep it alive too.

@@ -10,9 +10,11 @@ answers count for that run only, unless the user names it with `--run`.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.errors import NoMissionRunning, UsageError
 from lfield.lang.deployment import read_deployment
@@ -34,8 +36,7 @@ class HostRef(NamedTuple):
     user: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class TargetTeam:
+class TargetTeam(Struct, frozen=True):
     """The hosts of one team with the addresses of requests, and their runs on this computer.
 
     A team without a run is a mission elsewhere, or all hosts of the inventory.

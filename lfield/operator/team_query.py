@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+
+from msgspec import Struct, field
 
 from lfield.capability.directory.agent_profile import AgentIdentity, AgentProfile, agent_profiles, location_of
 from lfield.capability.matching.matcher import Matcher
@@ -63,8 +64,7 @@ class Roster:
         return self._by_type.get(resource, ())
 
 
-@dataclass(frozen=True, slots=True)
-class QueryContext:
+class QueryContext(Struct, frozen=True):
     """The inputs of a query: the registry as on the hosts, and the attributes that bindings state of agents.
 
     The registry is restricted to the resources of the program. `realisations` are the possible providers of
@@ -229,8 +229,7 @@ def _value(value: float | str | list[str] | tuple[str, ...]) -> Value:
     return frozenset(value) if isinstance(value, list | tuple) else value
 
 
-@dataclass(frozen=True, slots=True)
-class PrimitiveAnswer:
+class PrimitiveAnswer(Struct, frozen=True):
     """The providers of a primitive, best first, their number, and the refusals of other agents.
 
     `teams` are the best teams of these offers if requested, from `agents` candidates. `notes` are the

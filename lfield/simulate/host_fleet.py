@@ -362,7 +362,7 @@ def at_endpoints(mission: Mission, endpoints: Mapping[str, str]) -> Mission:
         agent: {field: structs.replace(d, endpoint=endpoints[d.name]) for field, d in fields.items()}
         for agent, fields in mission.bindings.devices.items()
     }
-    return replace(mission, bindings=replace(mission.bindings, devices=bound))
+    return mission.with_bindings(structs.replace(mission.bindings, devices=bound))
 
 
 class ProcessLog(io.StringIO):

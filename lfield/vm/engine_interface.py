@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from msgspec import Struct
@@ -24,8 +23,7 @@ PLAIN = (BOOLEAN, INT, REAL)
 MAX_TIDY_SECONDS = 600.0
 
 
-@dataclass(frozen=True, slots=True)
-class AgentLimits:
+class AgentLimits(Struct, frozen=True):
     """Resource limits of one agent. A program that exceeds one gets a `LimitException` that L code can catch.
 
     `heap` in bytes; `call_depth` in calls; lengths in elements and characters; `threads` at one time. `tidy`
@@ -104,8 +102,7 @@ class HeapExhausted(EngineExit, frozen=True):
     words: int
 
 
-@dataclass(frozen=True, slots=True)
-class Group:
+class Group(Struct, frozen=True):
     """A prepared call group: its head, the slot of its result (-1: none), and the next instruction.
 
     `kind` is the type kind of the result, as in bytecode.program. `parks` is true for the `yield` of `while

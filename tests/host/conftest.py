@@ -6,12 +6,12 @@ import asyncio
 import io
 import random
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from memory_network import MemoryNetwork
+from msgspec.structs import replace
 
 from lfield.host.environment import HostOptions
 from lfield.host.host import Host

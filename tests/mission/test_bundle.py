@@ -7,7 +7,6 @@ import hashlib
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -15,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from missions import PLAIN_DEPLOYMENT, write_plain, write_rich
+from msgspec.structs import replace
 
 from lfield.capability.condition_compiler import compile_constraint
 from lfield.capability.condition_encoding import encode_tree

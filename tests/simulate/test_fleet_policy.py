@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from msgspec import structs
 
@@ -46,7 +44,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
         }
         for agent, of in mission.bindings.devices.items()
     }
-    return replace(mission, bindings=replace(mission.bindings, devices=bound))
+    return mission.with_bindings(structs.replace(mission.bindings, devices=bound))
 
 
 def on_its_way(fleet: Fleet) -> None:

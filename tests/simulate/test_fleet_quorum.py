@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from lfield import exit_status
 from lfield.journal.records import RecordKey
@@ -241,9 +241,8 @@ def test_after_a_permanent_loss_the_others_continue_with_new_members(tmp_path: P
     fleet.run(20.0)
     assert not logged(fleet, "complete")
     # A host with the old members gets no link: the two cannot be in one majority.
-    recovery = replace(fleet.mission.bindings.recovery, members=(other, kept))
-    bindings = replace(fleet.mission.bindings, recovery=recovery)
-    fleet.mission = replace(fleet.mission, bindings=bindings)
+    recovery = structs.replace(fleet.mission.bindings.recovery, members=(other, kept))
+    fleet.mission = fleet.mission.with_bindings(structs.replace(fleet.mission.bindings, recovery=recovery))
     for name in (other, kept):
         fleet.stop(name)
     fleet.run(10.0)

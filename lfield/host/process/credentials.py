@@ -7,9 +7,10 @@ several hosts does not start.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.authority.admission_policy import CertificateAdmission
 from lfield.authority.identity import Identity
@@ -25,8 +26,7 @@ from lfield.mission.mission import Mission
 from lfield.net.tls import OnVerified, TlsIdentity
 
 
-@dataclass(frozen=True, slots=True)
-class HostCredentials:
+class HostCredentials(Struct, frozen=True):
     """The keys of a host. A newer revocation list is stored in the first writable one of `folders`.
 
     Keys that expire within `min_lifetime` seconds are refused. The bundle `accepted_bundle` needs no

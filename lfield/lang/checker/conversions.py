@@ -7,8 +7,9 @@ candidate gets more precise messages: which argument is wrong, and how many are 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Generic, TypeVar
+
+from msgspec import Struct
 
 from lfield.lang import messages
 from lfield.lang.checker.symbols import Symbols, device_in
@@ -122,8 +123,7 @@ def with_article(kind: Type) -> str:
 Chosen = TypeVar("Chosen")
 
 
-@dataclass(frozen=True, slots=True)
-class OverloadCandidate(Generic[Chosen]):
+class OverloadCandidate(Struct, Generic[Chosen], frozen=True):
     """A callable: its name, the types of its parameters, and its declaration."""
 
     name: str

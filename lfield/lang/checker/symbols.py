@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capability_port import CapabilityTypes
@@ -49,16 +50,14 @@ LIBRARY_NAMES = frozenset(f.name for f in FUNCTIONS)
 _RETURN_LIKE = ("return", "throw", "else")
 
 
-@dataclass(frozen=True, slots=True)
-class Function:
+class Function(Struct, frozen=True):
     """A function of the top level: its head in a unit of its own, and its written body."""
 
     head: tree.Method
     written: syntax.Method
 
 
-@dataclass(slots=True)
-class Symbols:
+class Symbols(Struct):
     """The declarations of a program at its top level, and the device types that it may use.
 
     `capabilities` is the registry, when there is one; `generated` are the names of the classes made from it.

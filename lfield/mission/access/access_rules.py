@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Final, Literal, Protocol
 
 import msgspec
+from msgspec.structs import replace
 
 from lfield.authority.identity import Identity, Right, sorted_rights, with_implied
 from lfield.capability.model import Registry

@@ -7,16 +7,17 @@ any bundle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.authority.peer_verification import NONE_REVOKED, RevocationList, format_time, verify_signer
 from lfield.errors import SignatureError
 from lfield.wire.fields import short_digest
 
 
-@dataclass(frozen=True, slots=True)
-class BundleId:
+class BundleId(Struct, frozen=True):
     """A bundle that was read: its `digest`, and its `signature` as received.
 
     `by` is the verified signer, `at` the time of the signature in seconds since 1970 UTC; '' and 0.0 before

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from lfield.bytecode.program import SourceText
 from lfield.driver.binding import DeviceBinding
@@ -35,8 +36,7 @@ from lfield.text.source_text import Diagnostic, Span
 _MAP_CALLS = (AREA, STRIPS)
 
 
-@dataclass(frozen=True, slots=True)
-class FileLiteral:
+class FileLiteral(Struct, frozen=True):
     """One file that a call names. `unit` is the unit of the call, `field` its own device, '' for another."""
 
     unit: str

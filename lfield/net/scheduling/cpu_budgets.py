@@ -18,8 +18,9 @@ So a hop is never the reason for a closed link, also on a slow computer. Times a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum, auto
+
+from msgspec import Struct
 
 #: Long-term share of one processor for the messages of a member.
 CPU_SHARE = 0.1
@@ -54,8 +55,7 @@ class BudgetState(Enum):
     FLOOD = auto()
 
 
-@dataclass(slots=True)
-class _Account:
+class _Account(Struct):
     at: float
     #: CPU time not yet repaid.
     level: float = 0.0

@@ -6,8 +6,9 @@ A program contains its plans as constants, and its areas as debug information.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from lfield.bytecode.program import Program
 from lfield.driver.plugins import discover

@@ -7,7 +7,8 @@ above.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.capability.model import (
     Argument,
@@ -30,8 +31,7 @@ from lfield.operator.registry.taxonomy import primitives_of, term_of, terms_belo
 from lfield.text.suggestions import listed
 
 
-@dataclass(frozen=True, slots=True)
-class Sheet:
+class Sheet(Struct, frozen=True):
     """The description of one name: rows of a label and its lines, none of them empty."""
 
     kind: str

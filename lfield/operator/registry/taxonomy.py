@@ -4,14 +4,13 @@ terms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lfield.capability.model import Primitive, Registry, TaxonomyTerm
 from lfield.text.suggestions import did_you_mean
 
 
-@dataclass(frozen=True, slots=True)
-class TreeBranch:
+class TreeBranch(Struct, frozen=True):
     """A line of a tree with the lines below it. `mark` is the L type of a primitive that can be called."""
 
     text: str

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.driver.frame import Origin
 from lfield.guard.standstill import UNCONFIRMED
@@ -34,8 +35,7 @@ NO_FENCE = 1e6
 DeviceEvent = DeviceLatched | SafeStateConfirmed | DeviceMoving | DeviceReleased | DeviceTelemetry
 
 
-@dataclass(slots=True)
-class _Device:
+class _Device(Struct):
     """One device; `last_contact` is the time when its newest telemetry was measured (s, our monotonic
     clock).
     """

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TypeVar
+
+from msgspec.structs import replace
 
 from lfield.errors import LfieldError, WireError
 from lfield.operator.team_model.device_tracker import DeviceEvent, DeviceTracker

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Literal
+
+from msgspec import Struct, field
 
 from lfield.driver.driver_index import DriverLookup
 from lfield.driver.frame import Origin
@@ -17,8 +18,7 @@ from lfield.operator.team_model.vehicle_readings import DEFAULT_INSTRUMENTS, Ins
 AgentKind = Literal["coordinator", "resource"]
 
 
-@dataclass(frozen=True, slots=True)
-class TeamEntry:
+class TeamEntry(Struct, frozen=True):
     """An agent of the deployment: its type in L, and the host on which it starts. `kind` is '' if only the
     program defines it."""
 
@@ -28,8 +28,7 @@ class TeamEntry:
     kind: AgentKind | Literal[""] = ""
 
 
-@dataclass(frozen=True, slots=True)
-class TeamContents:
+class TeamContents(Struct, frozen=True):
     """A team: its `hosts` in order, its agents, and its devices (AGENT.FIELD) with their quantities."""
 
     team: str

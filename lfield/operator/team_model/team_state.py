@@ -8,8 +8,9 @@ only for latitude and longitude. None means that no host has reported it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol
+
+from msgspec import Struct, field
 
 from lfield.errors import LfieldError
 from lfield.guard.standstill import UNCONFIRMED
@@ -44,8 +45,7 @@ class GeoPosition(NamedTuple):
     altitude: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LinkState:
+class LinkState(Struct, frozen=True):
     """Measurements of a host about one link: the round trip in seconds, the loss rate of sent segments, the
     bytes sent and received since the link opened, and the bytes of its messages by kind of traffic. `path`
     and `standby` are those of `LinkStatus`."""
@@ -59,8 +59,7 @@ class LinkState:
     standby: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class HostState:
+class HostState(Struct, frozen=True):
     """The state of a host.
 
     `linked`: connected now; else `trouble` is the reason and `age` the age (s) of its data, None if there was
@@ -103,8 +102,7 @@ class HostState:
     report: Status = NO_REPORT
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceState:
+class DeviceState(Struct, frozen=True):
     """A device, `name` is AGENT.FIELD. `latched` is the reason why it is held in its safe state, or ''.
 
     `confirmed`: it is in that state; `moving` describes its movement there, '' at rest. `silent` is the age
@@ -144,8 +142,7 @@ def agent_of(device: str) -> str:
     return device.rpartition(".")[0]
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleState:
+class VehicleState(Struct, frozen=True):
     """A resource with devices as a vehicle: the readings of its devices by meaning.
 
     `place` and `earth` are its position, measured or derived with the origin of the team, and `measured`
@@ -183,8 +180,7 @@ class VehicleState:
         return any(device.latched for device in self.devices)
 
 
-@dataclass(frozen=True, slots=True)
-class HopState:
+class HopState(Struct, frozen=True):
     """A hop `of` one host `to` another, started `age` seconds ago, for the call of RESOURCE.PORTAL.
 
     `seconds` is its duration as measured by the sender, None while unknown. `number` is that of the transfer.
@@ -202,8 +198,7 @@ class HopState:
     failed: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class AgentState:
+class AgentState(Struct, frozen=True):
     """An agent. `host` is the host where it last ran; `to` is the destination of its hop, '' if not in
     transit.
 
@@ -233,8 +228,7 @@ class AgentState:
     trail: tuple[HopState, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class OfferState:
+class OfferState(Struct, frozen=True):
     """Whether an agent can be called, as reported by the host `reported_by`: its own if linked, else any.
 
     `refusal` is the reason why not, '' if it can. `apart` are the hosts that report otherwise, with their
@@ -266,8 +260,7 @@ class ShownLogLine(NamedTuple):
     tick: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class StopState:
+class StopState(Struct, frozen=True):
     """An emergency stop in force on some host, or sent from here: confirmed and unconfirmed devices.
 
     `hosts` are those where it is in force. `confirmed` and `unconfirmed` are their devices, the latter with
@@ -297,8 +290,7 @@ class StopState:
         return self.stands and not (self.unconfirmed or self.unreached or self.asked or self.before)
 
 
-@dataclass(frozen=True, slots=True)
-class OrderState:
+class OrderState(Struct, frozen=True):
     """The result of an order that was sent from here `age` seconds ago, as far as it is still true.
 
     `asked` are the hosts that have not answered yet, `done` those that have executed it, `unreached` those
@@ -316,8 +308,7 @@ class OrderState:
     troubles: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
+class Curve(Struct, frozen=True):
     """A quantity of the last minutes: pairs of seconds before now and value, oldest first. `what` is battery,
     height, link or hops (per minute), `of` the agent."""
 
@@ -348,8 +339,7 @@ class TrackUpdate(NamedTuple):
     tracks: list[AgentTrack]
 
 
-@dataclass(frozen=True, slots=True)
-class TeamState:
+class TeamState(Struct, frozen=True):
     """The state of a whole team. `revision` grows with every change except ages."""
 
     team: str

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.driver.frame import Origin
 from lfield.manifest import DeviceManifest, Quantity
@@ -24,8 +25,7 @@ _AXIS, _ECCENTRICITY = 6378137.0, 0.00669437999014
 _EARTHLY = ("°, °", "°, °, m", "deg, deg", "deg, deg, m")
 
 
-@dataclass(frozen=True, slots=True)
-class Instruments:
+class Instruments(Struct, frozen=True):
     """The quantities of a device by meaning; '' for those that it does not have.
 
     `moves` is whether it has a safe state. `place` is north, east and perhaps down in metres, `earth` is

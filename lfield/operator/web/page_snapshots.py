@@ -8,10 +8,11 @@ except the lines of the log and the points of tracks, of which each gets those t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import msgspec
+from msgspec.structs import replace
 
 from lfield.operator.team_model.log_buffer import MAX_LINES
 from lfield.operator.team_model.team_state import (
@@ -37,7 +38,7 @@ MAX_POINTS = 150
 
 #: Fields of a host that the page does not get: `vehicles` has the devices, `trouble` the text of the error.
 _NOT_SHOWN = ("error", "devices", "report")
-_HOST_FIELDS = tuple(each.name for each in fields(HostState) if each.name not in _NOT_SHOWN)
+_HOST_FIELDS = tuple(name for name in HostState.__struct_fields__ if name not in _NOT_SHOWN)
 
 
 def team_json(state: TeamState, denied: Mapping[OrderKind, str], tiles: Mapping[str, Any] | None) -> bytes:

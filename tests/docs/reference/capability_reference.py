@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 from msgspec import structs
+from msgspec.structs import replace
 
 from lfield.capability.model import Argument, PortalMap, Provider, Registry, TaxonomyTerm
 from lfield.capability.registry_reader.registry_files import read_registry

@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from msgspec import structs
 
 from lfield.authority.admission_policy import CertificateAdmission
 from lfield.authority.bundle_signature import sign_bundle
@@ -128,7 +129,9 @@ async def test_after_a_restart_in_flight_a_revoked_signature_is_accepted_with_a_
     assert "are revoked (list 4)" in again.warning
     # The person who made the keys for this run has stated which bundle runs.
     vouched = BundleId(DIGEST, by="the person who started it", at=1.0)
-    assert require_signature(mission, replace(proof, accepted_bundle=vouched), bad, ()).bundle == vouched
+    assert (
+        require_signature(mission, structs.replace(proof, accepted_bundle=vouched), bad, ()).bundle == vouched
+    )
     other = replace(mission, release=BundleId(b"c" * 32))
     with pytest.raises(SignatureError, match="it is not signed"):
-        require_signature(other, replace(proof, accepted_bundle=vouched), good, ())
+        require_signature(other, structs.replace(proof, accepted_bundle=vouched), good, ())

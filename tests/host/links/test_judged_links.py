@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import time
-from dataclasses import replace
 
 import memory_network
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from lfield.authority.admission_policy import CertificateAdmission
 from lfield.authority.certificate_reader import revoked_in

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from lfield.errors import LfieldError, MissionFileError
 from lfield.geodata.map_drawings import MAX_DRAWN, MapDrawing, drawings_of

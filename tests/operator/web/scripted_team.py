@@ -10,8 +10,10 @@ import math
 import sys
 import threading
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from lfield.capability.offer import Fact, Offer
 from lfield.capability.registry_reader.registry_files import read_registry

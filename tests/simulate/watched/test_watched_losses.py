@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from secrets import token_bytes
 
@@ -127,7 +126,7 @@ def test_an_abandoned_device_is_made_safe_with_its_cause(tmp_path: Path) -> None
         agent: {name: structs.replace(d, without_policy=OrphanPolicy(10.0, "hold")) for name, d in of.items()}
         for agent, of in made.bindings.devices.items()
     }
-    fleet = Fleet(replace(made, bindings=replace(made.bindings, devices=bound)), 1)
+    fleet = Fleet(made.with_bindings(structs.replace(made.bindings, devices=bound)), 1)
     fleet.run(12.0)
     gone = holder(fleet)
     watchers = {name: watch(fleet, name) for name in fleet.runs if name != gone}

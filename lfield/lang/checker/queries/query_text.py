@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lfield.lang import tree
 from lfield.lang.tree_traversal import left_spine
@@ -10,8 +10,7 @@ from lfield.lang.types import STRING
 from lfield.text.source_text import Span
 
 
-@dataclass(frozen=True, slots=True)
-class QueryText:
+class QueryText(Struct, frozen=True):
     """A text with the expressions of its parts, each with its first character."""
 
     text: str
