@@ -8,6 +8,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from msgspec import structs
+
 from lfield.authority.key_material import Keys
 from lfield.errors import NoHomeFolder
 from lfield.mission.access.signed_bundle import BundleId
@@ -75,7 +77,7 @@ def _signed(mission: Mission, args: argparse.Namespace) -> Mission:
         signature = sign_bundle(mission.release.digest, keys, time.time())
     except KeysError:
         return mission
-    return replace(mission, release=replace(mission.release, signature=signature, is_from_files=True))
+    return replace(mission, release=structs.replace(mission.release, signature=signature, is_from_files=True))
 
 
 def observer_keys(host: str, args: argparse.Namespace) -> Keys | None:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+from msgspec import structs
+
 from lfield.bytecode.program import Program
 from lfield.mission.bindings import DEFAULT_LEASE, DEFAULT_RESERVATION, MAX_MEMBERS, ReservationTimes
 from lfield.mission.loader import load_mission
@@ -390,8 +392,8 @@ def _mission(
         mission = load_mission(deployment, simulate=True)
     # Prepared data of a program on a host is large: one program is enough.
     times = ReservationTimes(reservation, reserved_wait)
-    recovery = replace(mission.bindings.recovery, lease=lease)
-    bindings = replace(mission.bindings, recovery=recovery, reservations=times)
+    recovery = structs.replace(mission.bindings.recovery, lease=lease)
+    bindings = structs.replace(mission.bindings, recovery=recovery, reservations=times)
     return replace(
         mission, bindings=bindings, program=_PROGRAMS.setdefault(mission.program.digest, mission.program)
     )
