@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import Callable, Coroutine, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 from lfield.clock import Clock
@@ -94,7 +93,7 @@ class Shell(asyncio.Protocol):
         self._timer: asyncio.Handle | None = None
         self._timer_at = self._answered = 0.0
         self._is_open_requested = self._no_memory = False
-        # Messages to be sent in one write, while more are expected; None otherwise.
+        # The messages of the effects that are being carried out; None between effects.
         self._buffered: list[bytes] | None = None
         self.exit: asyncio.Future[int] = self._loop.create_future()
 
@@ -150,20 +149,6 @@ class Shell(asyncio.Protocol):
         if self._recorder is not None:
             self._recorder.on_snapshot(snapshot)
 
-    @contextmanager
-    def _in_one_write(self) -> Iterator[None]:
-        """Sends the messages of this block in one write: the host wakes up once."""
-        if self._buffered is not None or self._output.is_closing():
-            yield
-            return
-        held = self._buffered = list[bytes]()
-        try:
-            yield
-        finally:
-            self._buffered = None
-            if held:
-                self._output.write(b"".join(held))
-
     def on_signal(self, number: int) -> None:
         """Handles a signal that was intended for the host."""
         line = log_messages.GUARD_SIGNAL_IGNORED.line(signal=signal.Signals(number).name)
@@ -198,18 +183,19 @@ class Shell(asyncio.Protocol):
             self._run([*effects, Notify(LockedOut(device, reason))])
 
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        reason = context.get("exception") or context.get("message", "")
+        error = context.get("exception") or context.get("message", "")
         if "future" in context or "task" in context:
             # No task waited for the failed call any more: this is no reason to stop a vehicle.
-            self.note("the driver", log_messages.DRIVER_TASK_FAILED.line(reason=self._on_error(reason)))
+            self._check_memory(error)
+            self.note("the driver", log_messages.DRIVER_TASK_FAILED.line(reason=_error_text(error)))
         else:
-            self.crashed(reason)
+            self.crashed(error)
 
     def crashed(self, reason: str | BaseException) -> None:
         """The driver itself has failed."""
-        text = self._on_error(reason)
+        self._check_memory(reason)
         if not self._no_memory:  # else the safe states are commanded already
-            self._on_broken_driver(f"the driver failed: {text}")
+            self._on_broken_driver(f"the driver failed: {_error_text(reason)}")
 
     def _on_broken_driver(self, reason: str) -> None:
         if self._core is not None:
@@ -218,18 +204,12 @@ class Shell(asyncio.Protocol):
             self._send(OpenFailed([("", "DeviceException", reason)]))
             self._finish(1)
 
-    def _on_error(self, error: str | BaseException) -> str:
-        """Handles an exception of the driver; returns its text. Ends the guard if memory is exhausted."""
-        if isinstance(error, MemoryError):
-            self._out_of_memory()
-        return error if isinstance(error, str) else repr(error)
-
-    def _out_of_memory(self) -> None:
-        """Commands the safe states and ends: a new guard is better than one without memory.
+    def _check_memory(self, error: str | BaseException) -> None:
+        """If memory is exhausted: commands the safe states and ends, since the host starts another guard.
 
         If the host has ended, no process would start another guard, so this one continues.
         """
-        if self._no_memory:
+        if self._no_memory or not isinstance(error, MemoryError):
             return
         self._no_memory = True
         try:
@@ -293,9 +273,17 @@ class Shell(asyncio.Protocol):
             self._run(self._core.handle(event))
 
     def _run(self, effects: Sequence[Effect]) -> None:
-        with self._in_one_write():
+        """Carries out effects, and sends their messages in one write: the host wakes up once."""
+        if self._buffered is not None or self._output.is_closing():
             self._carry_out(effects)
-        self._set_timer()
+            return
+        messages = self._buffered = list[bytes]()
+        try:
+            self._carry_out(effects)
+        finally:
+            self._buffered = None
+            if messages:
+                self._output.write(b"".join(messages))
 
     def _carry_out(self, effects: Sequence[Effect]) -> None:
         for effect in effects:
@@ -303,8 +291,9 @@ class Shell(asyncio.Protocol):
                 case Execute(call):
                     self._calls[call.token] = self._spawn(self._execute(call))
                 case Interrupt(token):
-                    if token in self._calls:
-                        self._calls[token].cancel()
+                    # Removed here: a task that is cancelled before its first step runs no `finally`.
+                    if (task := self._calls.pop(token, None)) is not None:
+                        task.cancel()
                 case MakeSafe(device, state):
                     self._making[device] = self._spawn(self._make_safe(device, state))
                 case Abandon(device):
@@ -319,6 +308,7 @@ class Shell(asyncio.Protocol):
                     self._send(message)
                 case Exit(status):
                     self._finish(status)
+        self._set_timer()
 
     def _mute(self, on: bool) -> None:
         try:
@@ -333,7 +323,8 @@ class Shell(asyncio.Protocol):
         try:
             moving = self._driver.devices[name].moving()
         except Exception as error:  # third-party code; an unknown state counts as moving
-            moving = f"unknown, the driver failed: {self._on_error(error)}"
+            self._check_memory(error)
+            moving = f"unknown, the driver failed: {error!r}"
         self._handle(guard_inputs.MotionReported(name, moving))
 
     async def _execute(self, call: GuardCall) -> None:
@@ -351,7 +342,8 @@ class Shell(asyncio.Protocol):
             reason = f"{call.instruction}(): {error}"
             self._handle(guard_inputs.CallRefused(call.token, "DeviceException", reason))
         except Exception as error:  # third-party code; the device is made safe
-            problem = f"the driver failed in {call.instruction}(): {self._on_error(error)}"
+            self._check_memory(error)
+            problem = f"the driver failed in {call.instruction}(): {error!r}"
             self._handle(guard_inputs.CallCrashed(call.token, problem))
         finally:
             self._calls.pop(call.token, None)
@@ -362,8 +354,8 @@ class Shell(asyncio.Protocol):
         except DeviceError as error:
             self._handle(guard_inputs.SafeStateFailed(name, error.reason))
         except Exception as error:  # third-party code; the core retries
-            reason = f"the driver failed: {self._on_error(error)}"
-            self._handle(guard_inputs.SafeStateFailed(name, reason))
+            self._check_memory(error)
+            self._handle(guard_inputs.SafeStateFailed(name, f"the driver failed: {error!r}"))
         else:
             self._handle(guard_inputs.SafeStateReached(name))
 
@@ -398,3 +390,7 @@ class Shell(asyncio.Protocol):
         await self._opening.close()
         if self._recorder is not None:
             self._recorder.close()
+
+
+def _error_text(error: str | BaseException) -> str:
+    return error if isinstance(error, str) else repr(error)

@@ -43,7 +43,7 @@ from lfield.wire.messages import QUESTION, TOO_MANY_OBSERVERS, Control, Hello, P
 #: Seconds for which a link is kept after a single need, and an unneeded link remains open.
 IDLE_TIMEOUT = 10.0
 #: Seconds without a link after which both of two neighbours dial.
-BOTH_CALL_AFTER = 3.0
+BOTH_DIAL_AFTER = 3.0
 #: Maximum age of a new dial, in seconds.
 NEW_HOST_PERIOD = 1.0
 #: Connection limits: pending handshakes (evicted per address) and observers (evicted per identity).
@@ -144,8 +144,8 @@ class LinkManager:
         for task in self._tasks:
             task.cancel()
         self.standbys.close()
-        for caller in self._diallers.values():
-            caller.cancel()
+        for dialler in self._diallers.values():
+            dialler.cancel()
         for listener in self._listeners:
             listener.close()
         for session in list(self._links.values()):
@@ -190,9 +190,9 @@ class LinkManager:
     def is_new(self, host: str) -> bool:
         """Whether a host has no link, and this host has just started to dial it."""
         since = self.down_since.get(host, -NEW_HOST_PERIOD)
-        caller = self._diallers.get(host)
-        called = caller is not None and not caller.has_failed
-        return called and self._clock.monotonic() - since < NEW_HOST_PERIOD
+        dialler = self._diallers.get(host)
+        is_dialling = dialler is not None and not dialler.has_failed
+        return is_dialling and self._clock.monotonic() - since < NEW_HOST_PERIOD
 
     def needs_link(self, host: str) -> bool:
         """See `DialOwner.needs_link`."""
@@ -205,8 +205,8 @@ class LinkManager:
         # A neighbour earlier in the deployment dials.
         if host in self._neighbours and self._hosts[host] < self._number and not self._is_unreachable(host):
             return
-        caller = self._diallers.get(host)
-        if caller is None or caller.is_over:
+        dialler = self._diallers.get(host)
+        if dialler is None or dialler.is_over:
             at, note = self._addresses[self._hosts[host]], self._owner.note
             self._diallers[host] = Dialler(self, self._transport, self._clock, host, at, note)
 
@@ -216,7 +216,7 @@ class LinkManager:
         """
         now = self._clock.monotonic()
         return (
-            now - max(self.down_since.get(host, now), self._last_incoming.get(host, 0.0)) >= BOTH_CALL_AFTER
+            now - max(self.down_since.get(host, now), self._last_incoming.get(host, 0.0)) >= BOTH_DIAL_AFTER
         )
 
     # --- queries of diallers --------------------------------------------------------------------------
@@ -290,8 +290,8 @@ class LinkManager:
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
         """Whether this host's own dial wins over a crossing one of time `made_at`; closes one that loses."""
-        caller = self._diallers.get(host)
-        own = caller.session if caller is not None else None
+        dialler = self._diallers.get(host)
+        own = dialler.session if dialler is not None else None
         if own is None or not own.connected:
             return False
         if self._number < self._hosts.get(host, -1):
@@ -306,7 +306,7 @@ class LinkManager:
 
         A revoked host completes pending work as a host; its observer links are closed.
         """
-        dialling = [caller.session for caller in self._diallers.values() if caller.session is not None]
+        dialling = [dialler.session for dialler in self._diallers.values() if dialler.session is not None]
         links, others = self._links.values(), (*self._observers, *self._ungreeted, *dialling)
         for session in dict.fromkeys((*links, *others)):
             if session.connected:
@@ -350,8 +350,8 @@ class LinkManager:
             old.on_replaced()
         self.standbys.on_linked(hello.host, session)
         self.down_since.pop(hello.host, None)
-        if caller := self._diallers.get(hello.host):
-            caller.clear_failure()
+        if dialler := self._diallers.get(hello.host):
+            dialler.clear_failure()
         self.refusals.report(hello.host, "")
         self._owner.on_linked(hello)
         self.on_dialled(hello.host)

@@ -189,3 +189,23 @@ def test_lock_out_lasts_until_an_operator_ends_it():
     assert [token for token in refused if "estop --lift" in refused[token]] == [2, 3], refused
     assert Released("alpha.thing") in after
     assert CallDone(9, None) in after
+
+
+def test_calls_that_end_before_they_start_leave_no_data():
+    """A task that is cancelled before its first step runs no `finally`."""
+
+    async def story():
+        shell = guard_of(Lift, Output())
+        thing = known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))
+        shell.data_received(encode(OpenDevices([_binding()], "", 99.0, thing)))
+        await asyncio.sleep(2 / RATE)
+        sent = LoopClock().monotonic()
+        for token in range(1, 9):
+            shell.data_received(encode(GuardCall(token, "alpha.thing", "hover", [], sent, sent + 9.0)))
+        await asyncio.sleep(0.01)
+        running = list(shell._calls)
+        await shell.close()
+        return running
+
+    with asyncio.Runner(loop_factory=JumpingLoop) as runner:
+        assert runner.run(story()) == [8]

@@ -153,11 +153,6 @@ class PersonCalls(Part):
         self._id_counts[caller.label] += 1
         return call
 
-    @property
-    def kept_ids(self) -> int:
-        """The number of calls whose ids are kept."""
-        return len(self._calls)
-
     def _has_space(self, caller: PersonCaller) -> bool:
         """Whether one more id can be kept."""
         return len(self._calls) < MAX_IDS and self._id_counts[caller.label] < MAX_IDS_OF_ONE

@@ -182,7 +182,7 @@ class FlightRecorder:
         if is_idle and runs and cuts is UNCUT and wall is None and clock is None:
             return IdleTurn(at)
         changes = wall, clock, answers, readings, drawn, cuts, summary, digests, runs, times
-        return TurnRecord(at, entry, *changes)  # type: ignore[arg-type]  # in the order of the fields
+        return TurnRecord(at, entry, *changes)  # type: ignore[arg-type]  # a tuple of several types
 
     def note_event(self, event: StateEvent) -> None:
         """The shell has made an event; a replay itself makes the log lines that are effects."""

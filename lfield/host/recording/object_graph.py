@@ -325,7 +325,7 @@ class GraphReader:
             case ["tuple", str(kind), list(items)]:
                 return self._tuple(kind, [self.decode(each) for each in items])
             case ["enum", str(kind), str(name)]:
-                return class_named(kind)[name]  # type: ignore[index]  # an Enum
+                return class_named(kind)[name]  # type: ignore[index]  # an Enum class, by its members
             case ["type", str(kind)]:
                 return class_named(kind)
             case ["reading", int(number)]:

@@ -129,5 +129,6 @@ def resolve_blocking(host: str, port: int, flags: int = 0, *, passive: bool = Fa
     """The addresses of a name, as of `resolve`; blocks the thread."""
     flags |= socket.AI_PASSIVE if passive else 0
     rows = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=flags)
-    # Addresses of IP sockets are tuples that begin with text and a number; typeshed has other families too.
-    return list(dict.fromkeys(ResolvedAddress(family, address) for family, _, _, _, address in rows))  # type: ignore[arg-type]
+    # Without IPv6 in Python, addresses have other types, which typeshed includes.
+    found = (ResolvedAddress(family, address) for family, _, _, _, address in rows)  # type: ignore[arg-type]
+    return list(dict.fromkeys(found))

@@ -299,13 +299,15 @@ class StandbyLinks:
             link.abort()
             return None
         connection.open(link, self._hello)
-        with suppress(TimeoutError):
-            async with asyncio.timeout(ANSWER_TIMEOUT):
-                await connection.settled.wait()
-        if not connection.was_ready:
-            link.abort()
-            return None
-        return connection
+        try:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(ANSWER_TIMEOUT):
+                    await connection.settled.wait()
+        finally:
+            # Also after a cancel: the answer of the peer would keep a connection that no task owns.
+            if not connection.was_ready:
+                link.abort()
+        return connection if connection.was_ready else None
 
 
 def _ip(link: Link) -> str:

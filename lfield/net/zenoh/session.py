@@ -163,7 +163,7 @@ class ZenohSession:
 
     def _forget(self, key: str) -> None:
         if (publisher := self._publishers.pop(key, None)) is not None:
-            publisher.undeclare()  # type: ignore[no-untyped-call]  # has no types
+            publisher.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub has no types here
 
     def _declare(self, make: Callable[[zenoh.Session], Any]) -> int:
         handle = next(self._handles)
@@ -195,7 +195,7 @@ class ZenohSession:
         self.is_open = False
         session, self._session = self._session, None
         if session is not None:
-            session.close()  # type: ignore[no-untyped-call]  # has no types
+            session.close()  # type: ignore[no-untyped-call]  # zenoh's stub has no types here
 
 
 class _Handlers:

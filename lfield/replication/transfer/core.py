@@ -277,7 +277,7 @@ class Mobility:
         """An answer, a query or a termination arrived from `host`."""
         match message:
             case TransferAccepted():
-                return self._sender.on_accepted(host, message)
+                return self._sender.on_accepted(message)
             case TransferRefused():
                 return self._sender.on_refused(host, message, now)
             case TransferQuery():

@@ -129,7 +129,7 @@ class TransferSender:
         waiting = [copy for copy in self._copies if copy.target == host and copy.state == "FROZEN"]
         return [effect for copy in waiting for effect in self._send(copy)]
 
-    def on_accepted(self, host: str, message: TransferAccepted) -> list[Effect]:
+    def on_accepted(self, message: TransferAccepted) -> list[Effect]:
         """The receiver has admitted the copy, or the copy has moved on: the commit point of the hop for the
         sender.
 

@@ -174,3 +174,14 @@ async def test_a_host_that_lost_its_rights_loses_its_standby(network, alpha, bra
     await asyncio.sleep(20.0)
     assert bravo.count("standby connection with") == 1
     assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "")
+
+
+async def test_a_cancelled_dial_closes_its_standby(network, alpha, bravo, /):
+    """The link with the host was dropped while the peer had not answered."""
+    dial = asyncio.ensure_future(alpha.peers.standbys._dial("bravo", "two-bravo:7001"))
+    await asyncio.sleep(0.03)
+    link = network.links[-2]
+    assert link.peer == "two-bravo:7001"
+    dial.cancel()
+    await asyncio.sleep(1.0)
+    assert link.closed
