@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from msgspec import structs
+import msgspec
 
 from lfield.authority.key_material import Keys
 from lfield.errors import NoHomeFolder
@@ -77,7 +77,9 @@ def _signed(mission: Mission, args: argparse.Namespace) -> Mission:
         signature = sign_bundle(mission.release.digest, keys, time.time())
     except KeysError:
         return mission
-    return replace(mission, release=structs.replace(mission.release, signature=signature, is_from_files=True))
+    return replace(
+        mission, release=msgspec.structs.replace(mission.release, signature=signature, is_from_files=True)
+    )
 
 
 def observer_keys(host: str, args: argparse.Namespace) -> Keys | None:
@@ -108,8 +110,6 @@ def ephemeral_keys(hosts: Iterable[str], bundle: BundleId) -> Mapping[str, int]:
     """
     import time
 
-    import msgspec
-
     from lfield.authority.ephemeral_ca import EphemeralCa
     from lfield.net.tls import pipe_with
 
@@ -123,7 +123,5 @@ def ephemeral_keys(hosts: Iterable[str], bundle: BundleId) -> Mapping[str, int]:
 
 
 def _inherited(descriptor: int) -> _InheritedKeys:
-    import msgspec
-
     with open(descriptor, "rb") as file:
         return msgspec.msgpack.decode(file.read(), type=_InheritedKeys)
