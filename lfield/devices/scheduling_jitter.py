@@ -8,7 +8,7 @@ run on one computer and may be late at once. A computer with a jitter of L there
     HEARTBEAT_INTERVAL + 2 L      if guards have normal priority
     HEARTBEAT_INTERVAL + 1.5 L    if guards have real-time priority
 
-where the half is a reserve, since the measurement is short.
+The additional half is a reserve, since the measurement is short.
 
 A larger jitter is refused at startup and logged as a warning later. A jitter of 20 ms supports the smallest
 silence, 0.1 s; a jitter of 0.12 s does not.
