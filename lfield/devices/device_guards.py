@@ -102,7 +102,7 @@ class DeviceGuards:
                 driver, bus, self.clock, self._note, self.lateness, self._has_progressed, files
             )
             guard.latched_devices.inhibit(self._inhibit_reason)
-            guard.latched_devices.set_event_handlers(self.on_event, self.on_lock_out)
+            guard.latched_devices.set_event_handlers(self.on_event, self.on_lock_out, self._on_latch_change)
             self._guards.append(guard)
             self._by_device.update(
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}
@@ -258,20 +258,18 @@ class DeviceGuards:
         """
         changed = asyncio.Event()
         self._stopping.append(changed)
-        for guard in self._guards:
-            guard.latched_devices.set_change_handler(self._latched)
-        with contextlib.suppress(TimeoutError):
+        try:
             async with asyncio.timeout(STOP_TIMEOUT):
-                while any(
-                    not guard.latched_devices.confirmed.issuperset(guard.actuated_devices)
-                    for guard in self._guards
-                ):
+                while not all(_is_confirmed(guard) for guard in self._guards):
                     changed.clear()
                     await changed.wait()
-        self._stopping.remove(changed)
+        except TimeoutError:
+            pass
+        finally:
+            self._stopping.remove(changed)
         return {name: _unconfirmed(guard, name) for guard in self._guards for name in guard.actuated_devices}
 
-    def _latched(self) -> None:
+    def _on_latch_change(self) -> None:
         for changed in self._stopping:
             changed.set()
 
@@ -343,6 +341,11 @@ def _recording_of(bus: Sequence[DeviceBinding], recording: GuardRecording, limit
     with contextlib.suppress(OutputFileError):
         private_folder(folder)
     return GuardRecording(str(folder), limit, recording.run)
+
+
+def _is_confirmed(guard: GuardProcess) -> bool:
+    """Whether all devices of a guard have confirmed their safe states."""
+    return guard.latched_devices.confirmed.issuperset(guard.actuated_devices)
 
 
 def _unconfirmed(guard: GuardProcess, name: str) -> str:

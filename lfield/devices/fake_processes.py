@@ -74,7 +74,7 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
     try:
         async with asyncio.timeout(READY_TIMEOUT):
             line = (await process.stdout.readline()).decode("utf-8", "replace")
-    except TimeoutError:
+    except (TimeoutError, ValueError):  # ValueError: the line is longer than the buffer
         line = ""
     fake = FakeProcess(next(iter(line.split()[1:2]), ""), process, output)
     if not line.startswith("ready ") or not fake.endpoint:

@@ -61,13 +61,14 @@ class LatchedDevices:
         self.on_change: Callable[[], None] = lambda: None
         self.on_event: OnLatchEvent = lambda event: None
 
-    def set_event_handlers(self, on_event: OnLatchEvent, on_lock_out: Callable[[str, str], None]) -> None:
-        """Sets the functions that are called with every event, and with every device that is locked out."""
-        self.on_event, self.on_lock_out = on_event, on_lock_out
-
-    def set_change_handler(self, on_change: Callable[[], None]) -> None:
-        """Sets the function that is called after every change."""
-        self.on_change = on_change
+    def set_event_handlers(
+        self,
+        on_event: OnLatchEvent,
+        on_lock_out: Callable[[str, str], None],
+        on_change: Callable[[], None],
+    ) -> None:
+        """Sets the functions for every event, every device that is locked out, and the end of a change."""
+        self.on_event, self.on_lock_out, self.on_change = on_event, on_lock_out, on_change
 
     def set_actions(self, actions: Mapping[str, Mapping[str, str]]) -> None:
         """Sets the actions of devices in their safe states, by device and state."""

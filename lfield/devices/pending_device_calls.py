@@ -57,10 +57,8 @@ class PendingDeviceCalls:
     def cancel(self, agent: str, thread: int, sent: float) -> CancelInstruction | None:
         """The message that cancels the call of a thread; None for a call that may not be cancelled."""
         for token, pending in self._pending.items():
-            if (pending.binding.agent, pending.thread) == (
-                agent,
-                thread,
-            ) and pending.instruction.may_be_cancelled:
+            is_waiting = (pending.binding.agent, pending.thread) == (agent, thread)
+            if is_waiting and pending.instruction.may_be_cancelled:
                 return CancelInstruction(token, sent)
         return None
 

@@ -5,9 +5,10 @@ A guard treats its host as dead when the last heartbeat is older than `silence`.
 heartbeats is HEARTBEAT_INTERVAL plus the delay of the host's loop plus the delay of the guard's read; both
 run on one computer and may be late at once. A computer with a jitter of L therefore supports a silence of
 
-HEARTBEAT_INTERVAL + 2 L      guards have normal priority
-    HEARTBEAT_INTERVAL + 1.5 L    guards have real-time priority; the half is a reserve, since the measurement
-    is short
+    HEARTBEAT_INTERVAL + 2 L      if guards have normal priority
+    HEARTBEAT_INTERVAL + 1.5 L    if guards have real-time priority
+
+The additional half is a reserve, since the measurement is short.
 
 A larger jitter is refused at startup and logged as a warning later. A jitter of 20 ms supports the smallest
 silence, 0.1 s; a jitter of 0.12 s does not.

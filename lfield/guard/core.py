@@ -2,7 +2,7 @@
 
 A device is free or latched. A device is latched, and its safe state is commanded until it is confirmed, when
 
-- the host has sent no heartbeat for `silence` seconds (only if the host has moved the device since it was
+  - the host has sent no heartbeat for `silence` seconds (only if the host has moved the device since it was
     opened or released), or has ended, or requests it;
   - a setpoint has expired without a replacement: its time-to-live starts when the device accepts it, and a
     running call that would replace it has the same time;

@@ -150,16 +150,14 @@ class ObserverSessions:
     def _call_portal(self, message: PortalCallRequest, link: Link) -> None:
         """Start a portal call; `on_call_result` sends the answer, perhaps at once."""
         self._await_result(message.id, link)
-        self._dispatch(
-            PersonCalled(message, *_caller(link.identity, is_assistant=message.is_assistant)), None
-        )
+        self._dispatch(PersonCalled(message, *_caller(link.identity, is_assistant=message.is_assistant)))
 
     def _cancel_call(self, message: PortalCallCancel, link: Link) -> None:
         """Cancel a call of this person, or of an assistant of this person."""
         self._await_result(message.id, link)
         for is_assistant in (False, True):
             caller = _caller(link.identity, is_assistant=is_assistant)
-            self._dispatch(PersonCallCancelled(message.id, *caller), None)
+            self._dispatch(PersonCallCancelled(message.id, *caller))
 
     def _await_result(self, id: bytes, link: Link) -> None:
         waiting = self._callers.setdefault(id, [])

@@ -150,6 +150,11 @@ class TcpTransport:
                     self._retry_pace.on_answer(address)
 
                 return await call.connect(on_connected)
+        except asyncio.CancelledError:
+            # Otherwise the peer could complete the handshake of a link that no task owns.
+            if call.link is not None:
+                call.link.abort()
+            raise
         except TimeoutError:
             if call.link is not None:
                 call.link.abort()

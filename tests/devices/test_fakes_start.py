@@ -67,6 +67,12 @@ def without_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
 
+def test_a_first_line_without_end_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sitecustomize.py").write_text("print('x' * (1 << 17), flush=True)", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert start_error(discover_sims(), "dynamixel").startswith("sky.fc: the simulated device ")
+
+
 @pytest.mark.parametrize("driver", ["mavlink", "can"])
 def test_error_of_a_fake_without_its_library_names_the_extra(without_libraries: None, driver: str) -> None:
     output = start_error(discover_sims(), driver)

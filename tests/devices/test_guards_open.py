@@ -107,10 +107,16 @@ class LateGuard:
         self.latched_devices.on_change()
 
 
+def guards_with(guard: LateGuard, plugins) -> DeviceGuards:
+    guards = DeviceGuards(plugins, ManualClock(), print)
+    guards._guards = [guard]
+    guard.latched_devices.set_event_handlers(guards.on_event, guards.on_lock_out, guards._on_latch_change)
+    return guards
+
+
 def test_two_emergency_stops_both_return_the_result(plugins):
     async def scenario() -> float:
-        guards, loop = DeviceGuards(plugins, ManualClock(), print), asyncio.get_running_loop()
-        guards._guards = [LateGuard(2.0)]
+        guards, loop = guards_with(LateGuard(2.0), plugins), asyncio.get_running_loop()
         start = loop.time()
         first, second = (
             asyncio.ensure_future(guards.emergency_stop(reason)) for reason in ("first", "second")
@@ -121,11 +127,21 @@ def test_two_emergency_stops_both_return_the_result(plugins):
     assert run_jumping(scenario()) == pytest.approx(2.0)
 
 
+def test_a_cancelled_wait_for_safe_states_leaves_no_data(plugins):
+    async def scenario() -> list[object]:
+        guards = guards_with(LateGuard(2.0), plugins)
+        stop = asyncio.ensure_future(guards.emergency_stop("first"))
+        await asyncio.sleep(1.0)
+        stop.cancel()
+        await asyncio.wait([stop])
+        return guards._stopping
+
+    assert run_jumping(scenario()) == []
+
+
 def test_silent_device_is_not_reported_safe(plugins):
     async def scenario() -> dict[str, str]:
-        guards = DeviceGuards(plugins, ManualClock(), print)
-        guards._guards = [LateGuard(0.1, lost=3.0)]
-        return await guards.emergency_stop("first")
+        return await guards_with(LateGuard(0.1, lost=3.0), plugins).emergency_stop("first")
 
     assert run_jumping(scenario()) == {
         "arm.wrist": "it was in its safe state before, but no longer responds; last contact 9.0 s ago"

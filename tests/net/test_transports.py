@@ -269,6 +269,32 @@ def test_a_peer_that_closes_in_the_handshake_gives_no_link():
     bench.close()
 
 
+def test_a_dial_that_is_cancelled_in_the_handshake_closes_its_connection():
+    bench = TlsBench(new_loop("asyncio"))
+
+    async def cancelled_dial():
+        received, ended = asyncio.Event(), asyncio.Event()
+
+        async def silent(reader, writer):
+            await reader.read(1)
+            received.set()
+            await reader.read()
+            ended.set()
+            writer.close()
+
+        server = await asyncio.start_server(silent, "127.0.0.1", 0)
+        address = join_address(*server.sockets[0].getsockname())
+        dial = asyncio.ensure_future(bench.connect(address, Recorder()))
+        await received.wait()
+        dial.cancel()
+        async with asyncio.timeout(PATIENCE):
+            await ended.wait()
+        server.close()
+
+    bench.wait(cancelled_dial())
+    bench.close()
+
+
 # TCP only
 
 

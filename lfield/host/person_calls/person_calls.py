@@ -19,8 +19,10 @@ from lfield.host.context import HostContext, Part
 from lfield.host.effects import AnswerPersonCall, WriteLogOnce
 from lfield.host.person_calls.call_limits import CallLimits
 from lfield.host.team.part_interfaces import CoordinatorOperations, LeaseRules, ReservationRules
+from lfield.replication.transfer.transfer_sender import LIMIT, RESTARTED, UNREACHABLE
 from lfield.text import log_messages
-from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.agent import CANCELLED, Agent, TeamMember
+from lfield.vm.deadlines import TIME_LIMIT
 from lfield.vm.engine_interface import Trap
 from lfield.vm.machine import Machine
 from lfield.vm.pending_call import PendingCall
@@ -41,9 +43,6 @@ KEEP_ID = 120.0
 MAX_IDS, MAX_IDS_OF_ONE, MAX_RESULTS = 32768, 4096, 4 << 20
 #: The reasons of refusals that stay: their ids need not be kept.
 LASTING: frozenset[RefusalCode] = frozenset({"not-permitted", "no-portal"})
-#: The exception of L for an expired time limit, and for a cancelled call.
-TIME_LIMIT, CANCELLED = "TimeLimitException", "CancelledException"
-RESTARTED = "RestartException"
 
 
 class PersonCaller(Struct, frozen=True):
@@ -216,7 +215,7 @@ class PersonCalls(Part):
         resource = self._machine.agents.get(member.id)
         if resource is None or resource.ended:
             reason = f"it died of {resource.report.splitlines()[0]}" if resource else "it has not started yet"
-            raise Trap("UnreachableResourceException", f"{member.id} is not available: {reason}")
+            raise Trap(UNREACHABLE, f"{member.id} is not available: {reason}")
         return resource
 
     def _poll_waiting(self) -> None:
@@ -238,7 +237,7 @@ class PersonCalls(Part):
                 value = encode_values([portals.result(pending)], MAX_RESULT)
             except UnsendableValue as error:
                 reason = f"the portal has returned, and its result cannot be sent: {error}"
-                self._end(call, "thrown", "LimitException", reason)
+                self._end(call, "thrown", LIMIT, reason)
             else:
                 self._end(call, "returned", value=value)
         else:

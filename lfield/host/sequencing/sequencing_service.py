@@ -17,6 +17,7 @@ from lfield.host.sequencing.startable_runs import StartableRuns, is_of_run
 from lfield.host.team.part_interfaces import CoordinatorOperations, LeaseRules
 from lfield.journal.records import SequenceRecord
 from lfield.replication.transfer.effects import Send
+from lfield.replication.transfer.transfer_sender import LIMIT
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
@@ -228,7 +229,7 @@ class SequencingService(Part):
         """Record a request, and log it when it is on disk; records of the same turn are in the same batch."""
         if self._team.write_problem:
             reason = f"{self._own_host} cannot write its journal: {self._team.write_problem}"
-            self._refuse(asking, runs.agent, "LimitException", reason)
+            self._refuse(asking, runs.agent, LIMIT, reason)
         runs.on_recorded(record)
         if not self._has_journal:
             self._log(line)

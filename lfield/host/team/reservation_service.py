@@ -25,7 +25,7 @@ from lfield.host.team.reservations import (
 )
 from lfield.journal.records import ReservationRecord
 from lfield.replication.transfer.effects import Send
-from lfield.replication.transfer.transfer_sender import LIMIT
+from lfield.replication.transfer.transfer_sender import LIMIT, UNREACHABLE
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Trap
 from lfield.vm.machine import Machine
@@ -91,7 +91,7 @@ class ReservationService(Part):
         found = self._machine.agents.get(resource.id)
         if found is None or found.ended:
             state = f"it died of {found.report.splitlines()[0]}" if found else "its host does not run it"
-            raise Trap("UnreachableResourceException", f"{resource.id} is gone: {state}", resource.id)
+            raise Trap(UNREACHABLE, f"{resource.id} is gone: {state}", resource.id)
         if self._team.write_problem:
             reason = f"{self._hello.host} cannot write its journal: {self._team.write_problem}"
             raise Trap(LIMIT, reason, resource.id)
