@@ -17,6 +17,7 @@ from lfield.errors import DeviceError, DeviceNotSetUp, PluginError
 from lfield.guard.endpoint_lock import EndpointGuard
 from lfield.guard.messages import OpenDevices
 from lfield.guard.recording.guard_rings import start_wire_log
+from lfield.text import log_messages
 
 #: Seconds to complete the opening of changed devices when the guard must end.
 FINISH_TIMEOUT = 3.0
@@ -46,6 +47,8 @@ class DeviceOpener:
         self._moved_before: list[str] | None = None
         #: The driver, None before it is created.
         self.driver: Driver | None = None
+        #: The actions of open devices in their safe states, if they differ from the names of the states.
+        self.safe_actions: dict[str, dict[str, str]] = {}
 
     def on_request(self, message: OpenDevices) -> None:
         """The host requests the opening; `run` follows."""
@@ -53,8 +56,9 @@ class DeviceOpener:
             self._moved_before = [device.name for device in message.devices if not device.is_sensor]
 
     async def run(self, message: OpenDevices) -> tuple[dict[str, str], list[OpenProblem]]:
-        """Opens all devices concurrently; returns identities by name, and all problems. Abandoned devices are
-        in neither of them.
+        """Opens all devices concurrently; returns identities by name, and all problems.
+
+        An abandoned device is in neither of them.
         """
         try:
             await self._lock.acquire(message.devices[0].endpoint)
@@ -89,7 +93,10 @@ class DeviceOpener:
         problems = [_problem(name, error) for name, error in answers.items() if isinstance(error, Exception)]
         for device in devices if is_restart and not problems else ():
             device.guard_restarted(device.binding.name in foreign_controlled)
-        return {name: answer for name, answer in answers.items() if isinstance(answer, str)}, problems
+        identities = {name: answer for name, answer in answers.items() if isinstance(answer, str)}
+        opened = [device for device in devices if device.binding.name in identities]
+        self.safe_actions = {d.binding.name: actions for d in opened if (actions := d.safe_actions())}
+        return identities, problems
 
     @property
     def commanded(self) -> list[str]:
@@ -115,7 +122,10 @@ class DeviceOpener:
     async def close(self) -> None:
         """Closes the bus."""
         if self.driver is not None:
-            await self.driver.close()
+            try:
+                await self.driver.close()
+            except Exception as error:  # third-party code; what follows must be closed too
+                self._reports.note("the driver", log_messages.DRIVER_NOT_CLOSED.line(reason=repr(error)))
             self.driver.wire_log.close()
         self._lock.release()
 

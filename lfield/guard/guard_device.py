@@ -14,7 +14,7 @@ class GuardDevice(Struct):
     """The state of one device. `latched` is the reason, '' when the device is free.
 
     `lock_reason` is the reason why the program may not release it: an emergency stop or a lock-out by its
-    driver. `reported` is the last reason for a safe state that was given to a sensor, which does not react.
+    driver. `reported` is the last reason for a safe state that was logged for a sensor, which has none.
     `state` is the safe state in which the device is held; '' for the one of its binding. `making` means that
     the safe state is being commanded, `made_at` is the time when this command last ended. `rest_within` is
     the time to come to rest, in seconds. `active` is the running call of each channel, `setpoints` are the
@@ -85,7 +85,7 @@ class GuardDevice(Struct):
         self.retry_at = at
 
     def replace_reported(self, reason: str) -> str:
-        """Sets the last reason reported to a sensor; returns the previous one."""
+        """Sets the last reason logged for a sensor; returns the previous one."""
         before, self.reported = self.reported, reason
         return before
 

@@ -32,16 +32,17 @@ from lfield.wire.framing import size_of
 
 async def serve(plugin: Plugin, first: bytes, input_fd: int, output_fd: int) -> int:
     """Guards one bus until the host stops it or ends; returns the exit status. `first` was already read."""
-    running = asyncio.get_running_loop()
-    output, _ = await running.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
-    # Imported here: a vendor library that is slow to load must not delay the guards of other buses.
+    loop = asyncio.get_running_loop()
+    output, _ = await loop.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
+    # Real-time priority starts after the import of the driver: a vendor library that loads slowly must not
+    # delay the guards of other buses.
     shell = Shell(plugin, output, SystemClock(), event_loop.raise_timer_priority)
     shell.data_received(first)
-    source, _ = await running.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
+    source, _ = await loop.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
     # A service manager signals every process of its group at once. A guard that ended then would stop its
     # heartbeats to a vehicle that is still landing.
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        running.add_signal_handler(number, shell.on_signal, number)
+        loop.add_signal_handler(number, shell.on_signal, number)
     try:
         return await shell.exit
     finally:

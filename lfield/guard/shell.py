@@ -236,8 +236,7 @@ class Shell(asyncio.Protocol):
         self._core = RecordedCore(GuardCore(rows, clock, silence=message.silence), clock, self._recorder)
         # Flush telemetry first: a query right after opening must find it.
         self._telemetry.flush()
-        actions = {d.binding.name: found for d in devices if (found := d.safe_actions())}
-        self._send(DevicesOpened(identities, actions))
+        self._send(DevicesOpened(identities, self._opening.safe_actions))
         self._handle(guard_inputs.BusOpened(message.latched))
         if self._leave is not None:
             self._handle(self._leave)
@@ -349,15 +348,19 @@ class Shell(asyncio.Protocol):
             self._calls.pop(call.token, None)
 
     async def _make_safe(self, name: str, state: str) -> None:
+        outcome: guard_inputs.GuardInput
         try:
             await self._driver.devices[name].make_safe(state)
+            outcome = guard_inputs.SafeStateReached(name)
         except DeviceError as error:
-            self._handle(guard_inputs.SafeStateFailed(name, error.reason))
+            outcome = guard_inputs.SafeStateFailed(name, error.reason)
         except Exception as error:  # third-party code; the core retries
             self._check_memory(error)
-            self._handle(guard_inputs.SafeStateFailed(name, f"the driver failed: {error!r}"))
-        else:
-            self._handle(guard_inputs.SafeStateReached(name))
+            outcome = guard_inputs.SafeStateFailed(name, f"the driver failed: {error!r}")
+        # A driver may end an abandoned command with a result although the command was cancelled.
+        task = asyncio.current_task()
+        if task is not None and not task.cancelling():
+            self._handle(outcome)
 
     def _set_timer(self) -> None:
         """Schedules the core's next deadline; an existing timer that is early enough is kept."""

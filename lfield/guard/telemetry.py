@@ -42,12 +42,8 @@ class Telemetry:
         is_foreign_controlled: Callable[[str], bool] = lambda _: False,
         is_blocked: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._clock, self._push, self._is_foreign_controlled, self._is_blocked = (
-            clock,
-            push,
-            is_foreign_controlled,
-            is_blocked,
-        )
+        self._clock, self._push = clock, push
+        self._is_foreign_controlled, self._is_blocked = is_foreign_controlled, is_blocked
         self._devices: dict[str, _Latest] = {}
         self._timer: asyncio.TimerHandle | None = None
 

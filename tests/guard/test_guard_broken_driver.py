@@ -7,13 +7,29 @@ import os
 import sys
 from contextlib import suppress
 
+import msgspec
 import pytest
+from thing_guard import Output, guard_of, known_thing
 
 from lfield.clock import SystemClock
 from lfield.devices.conformance_run import END_CHECK, run_conformance
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import RELEASE
+from lfield.driver.device import Device
 from lfield.driver.plugins import Plugins
 from lfield.errors import DeviceError, DevicesError
+from lfield.guard.core import REPEAT, RETRY
+from lfield.guard.messages import (
+    GuardCall,
+    Latched,
+    Note,
+    OpenDevices,
+    OpenFailed,
+    Released,
+    RequestSafeState,
+    encode,
+)
+from lfield.simulate.jumping_loop import JumpingLoop, LoopClock
 from lfield.testing.driver_bench import guarded
 
 pytestmark = pytest.mark.process
@@ -123,7 +139,7 @@ async def test_limit_breach_latches_only_the_device_that_caused_it(plugins):
 def test_failed_background_future_is_reported_without_a_latch(plugins):
     async def story(bench):
         await bench.call("forget")
-        note = "the driver driver task failed: RuntimeError('forgotten')"
+        note = "the driver task failed: RuntimeError('forgotten')"
         await bench.until(lambda: note in bench.notes, 60.0, "a note")
         assert bench.latched == ""
 
@@ -165,3 +181,115 @@ def test_device_not_left_safe_is_the_last_finding_of_a_kit(plugins, endpoint, wh
 
 def test_device_left_safe_and_at_rest_is_no_finding(plugins):
     assert asyncio.run(tried(plugins, "calm")) == []
+
+
+class _Plain(Device):
+    async def _open(self):
+        return "a thing"
+
+
+class _Faulty(_Plain):
+    """A device whose driver fails when it describes the safe states."""
+
+    def _safe_action(self, state):
+        raise RuntimeError("stumbled")
+
+
+def _messages(kind, close=None):
+    """The messages of a guard that opens one device of this class, and is closed."""
+
+    async def story():
+        output = Output()
+        shell = guard_of(kind, output)
+        shell.data_received(encode(OpenDevices([binding("here")], "", 99.0, known_thing())))
+        await asyncio.sleep(0.1)
+        if close is not None:
+            shell._driver._close = close
+        await shell.close()
+        return output.received
+
+    with asyncio.Runner(loop_factory=JumpingLoop) as runner:
+        return runner.run(story())
+
+
+def test_exception_about_the_safe_states_fails_the_open():
+    (failed,) = (m for m in _messages(_Faulty) if isinstance(m, OpenFailed))
+    assert [kind for _, kind, _ in failed.problems] == ["DeviceException"]
+
+
+def test_driver_that_cannot_be_closed_is_reported():
+    async def close():
+        raise RuntimeError("stumbled")
+
+    assert [m.code for m in _messages(_Plain, close) if isinstance(m, Note)][-1:] == ["driver-not-closed"]
+
+
+class _Stubborn(_Plain):
+    """Handles the cancellation of a safe-state command, as `asyncio.wait_for` may do in Python 3.11.
+
+    With the option `ends`, the first command ends at once, and a cancelled one fails.
+    """
+
+    def __init__(self, *args):
+        super().__init__(*args)
+        self.commands = []
+
+    async def _make_safe(self, state):
+        self.commands.append(state)
+        if self.commands == ["off"] and self.binding.options["ends"]:
+            return
+        try:
+            await asyncio.sleep(99.0)
+        except asyncio.CancelledError:
+            if self.binding.options["ends"]:
+                raise self.error("the command has failed") from None
+
+    def _moving(self):
+        return "turning"
+
+    async def do_release(self):
+        pass
+
+
+def _guarded(story, *, ends):
+    """The messages of a guard with this story, and the commands that its device has received."""
+
+    async def main():
+        output = Output()
+        shell = guard_of(_Stubborn, output)
+        device = msgspec.structs.replace(binding("here"), options={"ends": ends})
+        shell.data_received(encode(OpenDevices([device], "", 99.0, known_thing(RELEASE))))
+        await asyncio.sleep(0.1)
+        shell.data_received(encode(RequestSafeState("a.t", "an operator requested it")))
+        await story(shell)
+        commands = shell._driver.devices["a.t"].commands
+        await shell.close()
+        return output.received, commands
+
+    with asyncio.Runner(loop_factory=JumpingLoop) as runner:
+        return runner.run(main())
+
+
+def test_the_end_of_an_abandoned_command_does_not_confirm_another_safe_state():
+    async def story(shell):
+        await asyncio.sleep(0.1)
+        shell.data_received(encode(RequestSafeState("a.t", "hold instead", state="hold")))
+        await asyncio.sleep(1.0)
+
+    sent_messages, commands = _guarded(story, ends=False)
+    assert commands == ["off", "hold"]
+    assert not [message for message in sent_messages if isinstance(message, Latched) and message.confirmed]
+
+
+def test_the_failure_of_an_abandoned_command_does_not_make_a_released_device_safe_again():
+    async def story(shell):
+        await asyncio.sleep(REPEAT + 1.0)  # The device still moves, so its safe state is commanded again.
+        sent = LoopClock().monotonic()
+        shell.data_received(encode(GuardCall(1, "a.t", "release", [], sent, sent + 9.0)))
+        await asyncio.sleep(RETRY + 1.0)
+
+    sent_messages, commands = _guarded(story, ends=True)
+    assert Released("a.t") in sent_messages
+    notes = [message.code for message in sent_messages if isinstance(message, Note)]
+    assert "safe-state-unconfirmed" not in notes
+    assert commands == ["off", "off"]

@@ -6,12 +6,12 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
 from lfield import __version__
 from lfield.clock import Clock
+from lfield.driver.recording.wire_log import LogRing
 from lfield.guard.effects import Effect
 from lfield.guard.guard_device import CoreState
 from lfield.guard.messages import GuardCall, Note, OpenDevices, TelemetrySnapshot
@@ -37,23 +37,6 @@ TELEMETRY_INTERVAL = 0.1
 _EARLY = 0.005
 #: The maximum number of records that wait for the first segment, while the devices are opened.
 MOST_EARLY = 1000
-
-
-class RecordRing(Protocol):
-    """The ring of files that receives the frames."""
-
-    @property
-    def is_full(self) -> bool:
-        """Whether `start_file` should follow."""
-
-    def start_file(self, first: bytes = b"") -> None:
-        """Starts the next file."""
-
-    def append(self, data: bytes) -> None:
-        """Appends frames without waiting."""
-
-    def close(self, timeout: float = 2.0) -> None:
-        """Writes the pending frames."""
 
 
 class _Telemetry:
@@ -90,7 +73,7 @@ class _Telemetry:
 class GuardRecorder:
     """The recorder of the devices of one message of the host."""
 
-    def __init__(self, message: OpenDevices, clock: Clock, ring: RecordRing) -> None:
+    def __init__(self, message: OpenDevices, clock: Clock, ring: LogRing) -> None:
         self._message, self._clock, self._ring = message, clock, ring
         #: Records before the first segment, None when the segment is started.
         self._early: list[bytes] | None = []

@@ -25,11 +25,11 @@ RECORDS, WIRE = "guard", "wire"
 #: The share of the records in the limit of a guard; the log of its wire, which grows faster, has the rest.
 RECORDS_SHARE = 0.25
 
-#: Logs a line about a device.
-Note = Callable[[str, str], None]
+#: Writes a line about a device into the log of the host.
+WriteNote = Callable[[str, str], None]
 
 
-def open_recorder(message: OpenDevices, clock: Clock, note: Note) -> GuardRecorder | None:
+def open_recorder(message: OpenDevices, clock: Clock, note: WriteNote) -> GuardRecorder | None:
     """The recorder that a message of the host requires; None without a folder."""
     if not message.recording.folder:
         return None
@@ -38,7 +38,7 @@ def open_recorder(message: OpenDevices, clock: Clock, note: Note) -> GuardRecord
     return GuardRecorder(message, clock, RingWriter(folder, RECORDS, SUFFIX, limit, on_failure, MAGIC))
 
 
-def start_wire_log(log: WireLog, message: OpenDevices, note: Note) -> None:
+def start_wire_log(log: WireLog, message: OpenDevices, note: WriteNote) -> None:
     """Starts the log of a driver, if a message of the host requires a recording."""
     if not message.recording.folder:
         return
@@ -51,7 +51,7 @@ def start_wire_log(log: WireLog, message: OpenDevices, note: Note) -> None:
     log.start(make_ring)
 
 
-def failure_reporter(message: OpenDevices, files: str, note: Note) -> Callable[[str], None]:
+def failure_reporter(message: OpenDevices, files: str, note: WriteNote) -> Callable[[str], None]:
     """A function for any thread that logs why the files of a ring have ended."""
     loop, device = asyncio.get_running_loop(), message.devices[0].name
     folder = Path(message.recording.folder).name

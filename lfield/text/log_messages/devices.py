@@ -63,7 +63,8 @@ RECORDING_ENDED = _report(
     "warning",
     "by a guard that cannot write into the folder of a recording any longer",
 )
-DRIVER_TASK_FAILED = _report("driver-task-failed", "driver task failed: {reason}", "error")
+DRIVER_TASK_FAILED = _report("driver-task-failed", "task failed: {reason}", "error")
+DRIVER_NOT_CLOSED = _report("driver-not-closed", "not closed: {reason}", "error")
 SAFE_STATE_UNCONFIRMED = _report(
     "safe-state-unconfirmed", "safe state not confirmed: {reason}; retrying", "error"
 )
