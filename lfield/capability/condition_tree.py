@@ -6,6 +6,8 @@ resolves their names, condition_encoding.py is their form in a bundle.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from msgspec import Struct
 
 from lfield.text.source_text import Span
@@ -14,6 +16,8 @@ from lfield.text.source_text import Span
 MAX_HEIGHT = 100
 #: Largest limit of a query.
 MAX_LIMIT = 1000
+#: The comparison of exchanged operands, by the comparison.
+MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 #: The largest team that can be requested.
 MAX_TEAM = 1000
 

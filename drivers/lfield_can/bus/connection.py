@@ -20,7 +20,7 @@ from typing import Any
 import can
 
 from lfield.driver import DeviceError
-from lfield.driver.serial.serial_port import permission_cure
+from lfield.driver.serial.serial_port import permission_reason
 from lfield_can.bus.endpoint import Endpoint
 from lfield_can.bus.frames import BUS_LOST, Frame, Listener
 
@@ -42,9 +42,9 @@ LONGEST_LINE = 4096
 #: PCAN_ERROR_BUSOFF of PCAN-Basic.
 PCAN_OFF = 0x10
 
-#: Reasons why an interface cannot be opened, by the error of the kernel.
-_OPEN_ERRORS = {
-    errno.EAFNOSUPPORT: "this kernel has no SocketCAN: load it by 'sudo modprobe can_raw'",
+#: Reasons why an interface of SocketCAN cannot be opened, by the error of the kernel.
+_SOCKETCAN_ERRORS = {
+    errno.EAFNOSUPPORT: "this kernel has no SocketCAN: load it with 'sudo modprobe can_raw'",
     errno.ENODEV: "there is no such interface: is the adapter connected? 'ip link' lists the interfaces",
 }
 
@@ -73,7 +73,11 @@ def _open_interface(endpoint: Endpoint) -> can.BusABC:
     try:
         return can.Bus(ignore_config=True, **arguments)
     except Exception as error:  # interfaces raise various exceptions, some not of python-can
-        raise DeviceError("endpoint", f"cannot open {endpoint.text}: {_error_text(error)}") from None
+        is_socketcan = arguments.get("interface") == "socketcan"
+        reason = _SOCKETCAN_ERRORS.get(getattr(error, "errno", 0)) if is_socketcan else None
+        raise DeviceError(
+            "endpoint", f"cannot open {endpoint.text}: {reason or _error_text(error)}"
+        ) from None
 
 
 def lock_tty(path: str) -> int:
@@ -82,7 +86,7 @@ def lock_tty(path: str) -> int:
         fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         is_refused = isinstance(error, PermissionError)
-        reason = f"no permission; {permission_cure(path)}" if is_refused else _error_text(error)
+        reason = permission_reason(path) if is_refused else _error_text(error)
         raise DeviceError("endpoint", f"cannot open {path}: {reason}") from None
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -256,8 +260,6 @@ class Connection:
 
 def _error_text(error: Exception) -> str:
     """The first line of an exception, as the end of a sentence; some contain a traceback."""
-    if isinstance(error, OSError) and error.errno in _OPEN_ERRORS:
-        return _OPEN_ERRORS[error.errno]
     text = (getattr(error, "strerror", None) or str(error) or repr(error)).strip()
     return text.splitlines()[0][:200]
 

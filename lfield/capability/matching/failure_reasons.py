@@ -13,7 +13,6 @@ from lfield.text.suggestions import listed
 ReasonOf = Callable[[str], str]
 
 _NEGATED: Mapping[str, str] = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
-_MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
 def failure_reasons(
@@ -70,7 +69,7 @@ class _Explainer:
         sign = _NEGATED[tree.operator] if expected else tree.operator
         left, right = tree.left, tree.right
         if isinstance(left, condition_tree.ConditionLiteral):
-            left, right, sign = right, left, _MIRRORED[sign]
+            left, right, sign = right, left, condition_tree.MIRRORED[sign]
         text = f"{self._side(left)} {sign} {self._side(right)}"
         return text if self._differ(left, right) else f"{text} (they differ after the sixth digit)"
 

@@ -34,7 +34,6 @@ from lfield.capability.model import Composition, Expression, Value
 #: The most alternatives of a part's identity that are followed one by one; the rest is searched.
 MAX_BRANCHES = 16
 
-_MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 _OPPOSITE: Mapping[str, str] = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", "<=": ">", ">": "<="}
 
 
@@ -319,7 +318,8 @@ def _pieces(tree: condition_tree.ConditionExpr) -> Iterator[condition_tree.Condi
             yield from _pieces(right)
         case condition_tree.ConditionBinary(operator="<" | "<=" | ">" | ">=" as sign, left=left, right=right):
             if isinstance(right, condition_tree.ConditionCall):
-                left, right, sign = right, left, _MIRRORED[sign]  # type: ignore[assignment]  # an operator too
+                # The pattern has narrowed the type of `sign` to the four comparisons.
+                left, right, sign = right, left, condition_tree.MIRRORED[sign]  # type: ignore[assignment]
             function = "min" if sign in (">", ">=") else "max"
             if isinstance(left, condition_tree.ConditionCall) and left.function.span.text == function:
                 for argument in left.arguments:

@@ -179,19 +179,19 @@ class SerialPort:
         if "exclusively lock" in text:
             return f"{self.path} is in use by another program; a serial port has one owner"
         if number == 13:
-            return f"no permission; {permission_cure(self.path)}"
+            return permission_reason(self.path)
         if number:
             return os.strerror(number)
         return "it is not a serial port" if "configure" in text else text
 
 
-def permission_cure(path: str) -> str:
-    """The remedy if a device file may not be opened, with the group that owns it."""
+def permission_reason(path: str) -> str:
+    """The reason why a device file may not be opened, and the remedy with the group that owns it."""
     try:
         group = grp.getgrgid(os.stat(path).st_gid).gr_name
     except (OSError, KeyError):
         group = "dialout"
-    return f"'sudo usermod -aG {group} $USER' adds you to its group {group}; then log in again"
+    return f"no permission; 'sudo usermod -aG {group} $USER' adds you to its group {group}; then log in again"
 
 
 class _Tty:

@@ -401,12 +401,20 @@ def test_missing_interface_is_an_error_at_once(endpoint, reason):
         run(endpoint, _must_not_open)
 
 
-def test_a_refused_adapter_names_the_group_and_the_login(monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "reason"),
+    [
+        (errno.EACCES, "no permission; 'sudo usermod -aG .*then log in again"),
+        # The remedies of SocketCAN are not those of a serial adapter.
+        (errno.ENODEV, "No such device$"),
+    ],
+)
+def test_an_adapter_that_cannot_be_opened_is_reported_with_its_reason(number, reason, monkeypatch):
     def refused(*_):
-        raise PermissionError(errno.EACCES, "Permission denied")
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("lfield_can.bus.connection.os.open", refused)
-    with pytest.raises(DeviceError, match=r"no permission; 'sudo usermod -aG .*then log in again"):
+    with pytest.raises(DeviceError, match=reason):
         lock_tty("/dev/ttyACM7")
 
 
