@@ -20,7 +20,7 @@ from lfield.driver.device import Device, Driver
 from lfield.driver.driver_index import DriverLookup
 from lfield.driver.plugin import check_same, load_plugin
 from lfield.driver.settings import Setting, mismatched
-from lfield.errors import DeviceError, DevicesError, PluginError
+from lfield.errors import DeviceError, DevicesError, LfieldError, PluginError
 from lfield.guard.endpoint_lock import EndpointLock
 from lfield.manifest import DeviceValue
 
@@ -91,7 +91,7 @@ class _Bus:
         self, drivers: DriverLookup, bindings: Sequence[DeviceBinding], clock: Clock, report: Report
     ) -> None:
         self._known, self._bindings = drivers.by_driver[bindings[0].driver], bindings
-        self._clock, self._reports, self._lock = clock, _SetupReports(report), EndpointLock()
+        self._clock, self._report, self._lock = clock, report, EndpointLock()
         self._driver: Driver | None = None
         self.found: list[FoundDevice] = []
 
@@ -103,7 +103,7 @@ class _Bus:
             plugin = load_plugin(self._known.reference)
             check_same(self._known, plugin)
             make, manifests = plugin.load(), self._known.manifests
-            self._driver = make(self._bindings, manifests, self._clock, self._reports)
+            self._driver = make(self._bindings, manifests, self._clock, _SetupReports(self._report))
             await self._driver.open()
         except DeviceError as error:
             return [f"{names}: {error.reason}"]
@@ -116,15 +116,19 @@ class _Bus:
         )
         self.found = [each for each in inspected if isinstance(each, FoundDevice)]
         return [
-            _problem(binding.name, each)
+            failure_sentence(binding.name, each)
             for binding, each in zip(self._bindings, inspected, strict=True)
             if isinstance(each, BaseException)
         ]
 
     async def close(self) -> None:
-        if self._driver is not None:
-            await self._driver.close()
-        self._lock.release()
+        try:
+            if self._driver is not None:
+                await self._driver.close()
+        except Exception as error:  # a driver is third-party code: report any exception
+            self._report(f"the driver '{self._known.name}' did not close its devices: {error!r}")
+        finally:
+            self._lock.release()
 
 
 async def _inspect(device: Device) -> FoundDevice:
@@ -137,12 +141,16 @@ async def _inspect(device: Device) -> FoundDevice:
     return FoundDevice(device, identity, settings, await device.serial())
 
 
-def _problem(name: str, error: BaseException) -> str:
+def failure_sentence(name: str, error: BaseException) -> str:
+    """The sentence about a request to device `name` that its driver could not execute.
+
+    Raises `error` itself if it is not the driver's: a cancellation, or a file that cannot be written.
+    """
     if isinstance(error, DeviceError):
         return f"{name}: {error.reason}"
-    if isinstance(error, Exception):  # a driver is third-party code
-        return f"{name}: the driver failed: {error!r}"
-    raise error
+    if isinstance(error, LfieldError) or not isinstance(error, Exception):
+        raise error
+    return f"{name}: the driver failed: {error!r}"
 
 
 @asynccontextmanager
@@ -188,7 +196,7 @@ async def _for_each(found: Sequence[FoundDevice], act: Callable[[FoundDevice], A
     """Runs an action for each device, independently; returns a sentence per failure."""
     done = await asyncio.gather(*(act(each) for each in found), return_exceptions=True)
     return [
-        _problem(each.name, error)
+        failure_sentence(each.name, error)
         for each, error in zip(found, done, strict=True)
         if isinstance(error, BaseException)
     ]

@@ -12,6 +12,7 @@ import msgspec
 from lfield.driver.binding import SIMULATED, DeviceBinding, by_bus
 from lfield.driver.sims import Sims, sims_of
 from lfield.errors import PluginError
+from lfield.event_loop import start_child
 
 #: Seconds for a simulated device to be ready; seconds to end on request.
 READY_TIMEOUT, END_TIMEOUT = 20.0, 3.0
@@ -61,13 +62,12 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
         known = ", ".join(sorted(sims)) or "none"
         raise PluginError(f"{names}: there is no simulated device for driver '{driver}' (installed: {known})")
     reference, options = sims.references[sim.name], [*sim.arguments(bus), *fault_options(bus)]
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-P", "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-        start_new_session=True,
-    )
+    command = (sys.executable, "-P", "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes")
+    try:
+        process = await start_child(*command, stdin=asyncio.subprocess.PIPE)
+    except OSError as error:
+        reason = error.strerror or error
+        raise PluginError(f"{names}: the simulated device '{sim.name}' did not start: {reason}") from None
     assert process.stdout is not None
     assert process.stderr is not None
     output = FakeOutput(process.stderr)
@@ -76,6 +76,11 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
             line = (await process.stdout.readline()).decode("utf-8", "replace")
     except (TimeoutError, ValueError):  # ValueError: the line is longer than the buffer
         line = ""
+    except asyncio.CancelledError:
+        process.kill()
+        await process.wait()
+        await output.end()
+        raise
     fake = FakeProcess(next(iter(line.split()[1:2]), ""), process, output)
     if not line.startswith("ready ") or not fake.endpoint:
         await fake.stop()
@@ -92,14 +97,19 @@ async def bind_to_fakes(
     """The devices, with the simulated ones bound to the endpoints of started processes.
 
     The simulated devices are added to `running`, and a sentence to `problems` for each that does not start.
+    After a cancellation `running` has all processes that are left.
     """
+
+    async def start(bus: Sequence[DeviceBinding]) -> FakeProcess:
+        fake = await start_fake(sims, bus)
+        running.append(fake)
+        return fake
+
     simulated = by_bus(device for device in devices if device.endpoint.startswith(SIMULATED))
     if not simulated:
         return list(devices)
     sims = sims_of({driver for driver, _ in simulated})
-    fakes = (start_fake(sims, bus) for bus in simulated.values())
-    started = await asyncio.gather(*fakes, return_exceptions=True)
-    running += [fake for fake in started if isinstance(fake, FakeProcess)]
+    started = await asyncio.gather(*map(start, simulated.values()), return_exceptions=True)
     endpoints: dict[tuple[str, str], str] = {}
     for bus, fake in zip(simulated, started, strict=True):
         if isinstance(fake, FakeProcess):

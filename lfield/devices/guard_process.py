@@ -55,7 +55,7 @@ MAX_UNANSWERED = 60
 #: Seconds for a guard to open its devices; seconds to end, in addition to the time of its devices.
 OPEN_TIMEOUT, STOP_TIMEOUT = 60.0, 5.0
 #: Seconds for a guard to end without waiting for its devices.
-HURRIED_TIMEOUT = 1.0
+AT_ONCE_TIMEOUT = 1.0
 #: Seconds before a guard that died is restarted: after an early death, and the maximum. A guard that ran
 #: longer is restarted at once: an autopilot's failsafe waits no more than 2 s.
 FIRST_RESTART_DELAY, MAX_RESTART_DELAY = 0.2, 5.0
@@ -102,7 +102,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         self._exited = asyncio.Event()
         # Set when the devices are open or will never be open; and set when this guard has ended.
         self._settled, self._over = asyncio.Event(), asyncio.Event()
-        self._ready = self._stopping = self._hurried = self._has_spoken = False
+        self._ready = self._stopping = self._is_at_once = self._has_sent_data = False
         self._unanswered, self._ready_at, self._open_reason = 0, -math.inf, ""
         self._calls = PendingDeviceCalls()
         self._unsafe: dict[str, str] | None = None
@@ -122,6 +122,9 @@ class GuardProcess(asyncio.SubprocessProtocol):
             await start_process(self, *guard)
         except OSError as error:
             raise DevicesError([f"the driver's process does not start: {error.strerror or error}"]) from None
+        except asyncio.CancelledError:
+            self._opening.cancel()  # otherwise the end of the process is an exception that nothing handles
+            raise
         self._heartbeats.pause()
         self._send_heartbeat()
         try:
@@ -162,12 +165,12 @@ class GuardProcess(asyncio.SubprocessProtocol):
 
     def stop_waiting(self) -> None:
         """Stops waiting for the devices; the devices not at rest are reported."""
-        self._hurried = True
+        self._is_at_once = True
         self._send(Stop(STOPPING, at_once=True))
-        asyncio.get_running_loop().call_later(HURRIED_TIMEOUT, self._abandon)
+        asyncio.get_running_loop().call_later(AT_ONCE_TIMEOUT, self._abandon)
 
     def _abandon(self) -> None:
-        self._hurried = True
+        self._is_at_once = True
         if self._restarting is not None:
             self._restarting.cancel()
         self.kill()
@@ -179,7 +182,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         if self._unsafe is not None:
             return self._unsafe
         if not self.identities:
-            return dict.fromkeys(self.actuated_devices, UNFINISHED) if self._has_spoken else {}
+            return dict.fromkeys(self.actuated_devices, UNFINISHED) if self._has_sent_data else {}
         motions = {name: self.latched_devices.moving.get(name, UNCONFIRMED) for name in self.actuated_devices}
         return {name: f"{motion}, and its guard has ended" for name, motion in motions.items() if motion}
 
@@ -211,7 +214,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
             try:
                 await self.open("its guard died and was restarted")
                 if self._stopping:
-                    self._send(Stop(STOPPING, at_once=self._hurried))
+                    self._send(Stop(STOPPING, at_once=self._is_at_once))
                 return
             except DevicesError as error:
                 pause = min(max(2 * pause, FIRST_RESTART_DELAY), MAX_RESTART_DELAY)
@@ -311,13 +314,13 @@ class GuardProcess(asyncio.SubprocessProtocol):
         self._pipe = cast("asyncio.WriteTransport", self._transport.get_pipe_transport(0))
         # This is the first message, also when another task stops this guard while `open` waits for the
         # process: a guard that received `Stop` first would end without making its devices safe.
-        devices, foreign_controlled = list(self._devices.values()), sorted(self.snapshots.received)
+        devices, foreign_controlled = list(self._devices.values()), sorted(self.snapshots.foreign_controlled)
         opening = self._open_reason, self._silence, self._driver, foreign_controlled
         self._send(OpenDevices(devices, *opening, self._recording))
 
     def pipe_data_received(self, fd: int, data: bytes) -> None:
         """Messages of the guard."""
-        self._unanswered, self._has_spoken = 0, True
+        self._unanswered, self._has_sent_data = 0, True
         try:
             for message in self._reader.feed(data):
                 self._receive(message)
@@ -342,7 +345,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         if not self._opening.done():
             self._opening.set_exception(DevicesError([f"the driver's process ended with status {status}"]))
         self._calls.on_guard_lost(status)
-        if self._unsafe is not None or self._hurried or not self.identities:
+        if self._unsafe is not None or self._is_at_once or not self.identities:
             self._settled.set()
             self._over.set()
             return

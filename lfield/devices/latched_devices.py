@@ -28,16 +28,16 @@ OnLatchEvent = Callable[
 
 
 class LatchedDevices:
-    """The latched devices of one guard by name. `pulse` determines whether this computer caused a silence."""
+    """The latched devices of one guard by name. `heartbeats` shows whether this computer caused a silence."""
 
     def __init__(
         self,
         devices: Mapping[str, DeviceBinding],
         clock: Clock,
         note: Callable[[LogLine], None],
-        pulse: HeartbeatJitter,
+        heartbeats: HeartbeatJitter,
     ) -> None:
-        self._devices, self._clock, self._note, self._pulse = devices, clock, note, pulse
+        self._devices, self._clock, self._note, self._heartbeats = devices, clock, note, heartbeats
         self._progress_logged_at: dict[str, float] = {}
         self._states: dict[str, str] = {}
         #: The actions of devices in their safe states, if they differ from the name of the state.
@@ -111,7 +111,7 @@ class LatchedDevices:
 
     def _on_latched(self, message: Latched) -> None:
         device, confirmed = message.device, message.confirmed
-        fault = self._pulse.explain(message.reason, self._clock.monotonic())
+        fault = self._heartbeats.explain(message.reason, self._clock.monotonic())
         self.latched[device] = reason = self.latched.get(device, message.reason) if confirmed else fault
         self._states[device], self.moving[device] = message.state, UNCONFIRMED
         (self.confirmed.add if confirmed else self.confirmed.discard)(device)

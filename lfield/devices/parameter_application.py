@@ -12,10 +12,10 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from lfield.devices.device_setup import FoundDevice, Report
+from lfield.devices.device_setup import FoundDevice, Report, failure_sentence
 from lfield.devices.parameter_backup import BackupEntry, ParameterChange, write_backup
 from lfield.driver.settings import SettingsComparison, StoredSettings, is_same_value
-from lfield.errors import DeviceError, DevicesError, MissionFileError, UsageError
+from lfield.errors import DevicesError, MissionFileError, UsageError
 
 #: The maximum number of names in one line.
 _LISTED = 12
@@ -51,8 +51,8 @@ async def plan_file(found: FoundDevice, file: str, data: bytes) -> FilePlan:
         raise UsageError(f"{found.name} has no settings that files contain")
     try:
         return FilePlan(file, found, await device.compare_settings(file, data))
-    except DeviceError as error:
-        raise DevicesError([f"{found.name}: {error.reason}"]) from None
+    except Exception as error:  # a driver is third-party code: report any exception
+        raise DevicesError([failure_sentence(found.name, error)]) from None
 
 
 def check_permitted(plan: FilePlan, report: Report) -> None:
@@ -65,7 +65,7 @@ def check_permitted(plan: FilePlan, report: Report) -> None:
 
 
 async def write_file(plan: FilePlan, folder: Path, when: str, report: Report) -> None:
-    """Writes the changes of a plan after a backup. Raises DevicesError."""
+    """Writes the changes of a plan after a backup. Raises DevicesError, OutputFileError."""
     found, changes = plan.found, plan.comparison.changes
     try:
         found.device.check_idle()
@@ -83,8 +83,8 @@ async def write_file(plan: FilePlan, folder: Path, when: str, report: Report) ->
             report(f"{found.name}: {change.name} was {change.present:.9g} and is now {change.value:.9g}")
         # A write may change another parameter.
         present = await _read_back(found, [change.name for change in changes])
-    except DeviceError as error:
-        raise DevicesError([f"{found.name}: {error.reason}"]) from None
+    except Exception as error:  # a driver is third-party code: report any exception
+        raise DevicesError([failure_sentence(found.name, error)]) from None
     problems = [
         f"{found.name}: {change.name} is not {change.value:.9g} any more: another value has changed it"
         for change in changes
@@ -97,12 +97,15 @@ async def write_file(plan: FilePlan, folder: Path, when: str, report: Report) ->
 async def stored_values(found: FoundDevice, names: Sequence[str]) -> Mapping[str, float]:
     """The present values of settings of a device, including settings that its binding does not need.
 
-    Raises DeviceError.
+    Raises DevicesError.
     """
     present = {setting.name: setting.present for setting in found.settings}
     missing = [name for name in names if name not in present]
     if missing and isinstance(found.device, StoredSettings):
-        present.update(await found.device.stored_settings(names))
+        try:
+            present.update(await found.device.stored_settings(names))
+        except Exception as error:  # a driver is third-party code: report any exception
+            raise DevicesError([failure_sentence(found.name, error)]) from None
     return present
 
 

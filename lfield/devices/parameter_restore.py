@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 
 from msgspec import Struct
 
-from lfield.devices.device_setup import FoundDevice, Report
+from lfield.devices.device_setup import FoundDevice, Report, failure_sentence
 from lfield.devices.parameter_backup import BackupEntry, ParameterChange
 from lfield.driver.settings import is_same_value
-from lfield.errors import DeviceError
 
 
 class RestorePlan(Struct, frozen=True):
@@ -69,6 +68,6 @@ async def apply_restore(plan: RestorePlan, report: Report) -> list[str]:
         for change in plan.writes:
             await device.write_setting(change.name, change.was)
             report(f"{name}: {change.name} was {change.now:.9g} and is {change.was:.9g} again")
-    except DeviceError as error:
-        return [*plan.problems, f"{name}: {error.reason}"]
+    except Exception as error:  # a driver is third-party code: report any exception
+        return [*plan.problems, failure_sentence(name, error)]
     return list(plan.problems)

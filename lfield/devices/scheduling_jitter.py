@@ -40,10 +40,10 @@ MAX_REPORT_DELAY = 2.0
 
 
 class JitterLimit(Struct, frozen=True):
-    """The jitter limit of a `silence`; `prompt`: its guards have real-time priority. In seconds."""
+    """The jitter limit of a `silence`; `is_realtime`: its guards have real-time priority. In seconds."""
 
     silence: float
-    prompt: bool = False
+    is_realtime: bool = False
 
     @property
     def max_jitter(self) -> float:
@@ -52,7 +52,7 @@ class JitterLimit(Struct, frozen=True):
 
     @property
     def _factor(self) -> float:
-        return REALTIME_FACTOR if self.prompt else NORMAL_FACTOR
+        return REALTIME_FACTOR if self.is_realtime else NORMAL_FACTOR
 
     def shortest_silence(self, late: float) -> float:
         """The shortest silence for a jitter, in tenths of a second."""
@@ -80,7 +80,7 @@ class JitterLimit(Struct, frozen=True):
     def remedy(self, late: float) -> str:
         """The remedy for a jitter that is too large."""
         measures = ["reduce the load of this computer"]
-        if not self.prompt:
+        if not self.is_realtime:
             measures.append("give its guards real-time priority (LimitRTPRIO=1, see 'lfield doctor')")
         shortest = self.shortest_silence(late)
         if shortest <= MAX_SILENCE:

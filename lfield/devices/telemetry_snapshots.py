@@ -34,8 +34,8 @@ class Snapshots:
             for device in self._devices.values()
             for quantity in driver.manifests[device.type].device.telemetry
         }
-        self._patience = {
-            device.name: _patience(driver.manifests[device.type].device.telemetry)
+        self._silence_limit = {
+            device.name: _silence_limit(driver.manifests[device.type].device.telemetry)
             for device in self._devices.values()
         }
         self._observations: dict[tuple[str, str], Observation] = {}
@@ -43,14 +43,17 @@ class Snapshots:
         #: The time of the last message of each device, by name; absent before the first one.
         self.last_contact: dict[str, float] = {}
         #: Devices under foreign control, such as a pilot's.
-        self.received: set[str] = set()
+        self.foreign_controlled: set[str] = set()
 
     def on_snapshot(self, snapshot: TelemetrySnapshot) -> None:
         """Stores a snapshot and updates readings. Raises WireError for an unknown device or a wrong type."""
         if snapshot.device not in self._devices:
             raise WireError(f"telemetry of '{snapshot.device}', which it does not guard")
         self.last_contact[snapshot.device] = snapshot.last_contact
-        (self.received.add if snapshot.is_foreign_controlled else self.received.discard)(snapshot.device)
+        if snapshot.is_foreign_controlled:
+            self.foreign_controlled.add(snapshot.device)
+        else:
+            self.foreign_controlled.discard(snapshot.device)
         for name, observation in snapshot.values.items():
             key = snapshot.device, name
             self._observations[key] = Observation(self._conform(key, observation.value), observation.when)
@@ -96,7 +99,7 @@ class Snapshots:
         sent a message is not lost: some devices never send any.
         """
         last = self.last_contact.get(device)
-        if last is None or self._clock.monotonic() - last <= self._patience[device]:
+        if last is None or self._clock.monotonic() - last <= self._silence_limit[device]:
             return None
         return last
 
@@ -134,6 +137,6 @@ class Snapshots:
         return values_by_device
 
 
-def _patience(quantities: Iterable[Quantity]) -> float:
+def _silence_limit(quantities: Iterable[Quantity]) -> float:
     """The seconds for which a device with these quantities may be silent."""
     return max(SILENCE_LIMIT, min((quantity.max_age for quantity in quantities), default=SILENCE_LIMIT))

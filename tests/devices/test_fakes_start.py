@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from lfield.devices.fake_processes import start_fake
+from lfield.devices.fake_processes import FakeProcess, bind_to_fakes, start_fake
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import discover
 from lfield.driver.sims import Sims, discover_sims
@@ -71,6 +71,45 @@ def test_a_first_line_without_end_is_reported(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "sitecustomize.py").write_text("print('x' * (1 << 17), flush=True)", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     assert start_error(discover_sims(), "dynamixel").startswith("sky.fc: the simulated device ")
+
+
+def test_a_process_that_cannot_be_started_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/none/python")
+    problems: list[str] = []
+    asyncio.run(bind_to_fakes([binding("dynamixel")], [], problems))
+    assert [problem.startswith("sky.fc: ") for problem in problems] == [True]
+
+
+#: A `sitecustomize.py` with which the fake of CAN writes its process id and does not become ready.
+HANGS_FOR_CAN = """
+import os, pathlib, sys, time
+if "lfield_sim.can:SIM" in sys.orig_argv:
+    pathlib.Path({path!r}).write_text(str(os.getpid()))
+    time.sleep(600)
+"""
+
+
+def test_a_cancelled_start_leaves_no_process_without_an_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hanging = tmp_path / "pid"
+    (tmp_path / "sitecustomize.py").write_text(HANGS_FOR_CAN.format(path=str(hanging)), encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    running: list[FakeProcess] = []
+
+    async def cancel_when_one_is_ready() -> None:
+        start = asyncio.create_task(bind_to_fakes([binding("dynamixel"), binding("can")], running, []))
+        async with asyncio.timeout(60):
+            while not running or not hanging.exists() or not hanging.read_text():
+                await asyncio.sleep(0.01)
+        start.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await start
+        await running[0].stop()
+
+    asyncio.run(cancel_when_one_is_ready())
+    assert len(running) == 1
+    assert not Path(f"/proc/{hanging.read_text()}").exists()
 
 
 @pytest.mark.parametrize("driver", ["mavlink", "can"])

@@ -6,6 +6,7 @@ A guard loads third-party code, so the host checks each message of a guard.
 from __future__ import annotations
 
 import asyncio
+import gc
 from types import SimpleNamespace
 
 import pytest
@@ -103,6 +104,36 @@ def test_guard_restart_is_delayed_only_after_a_short_run(monkeypatch):
     run_jumping(scenario())
     first, *restarts = started
     assert [round(at - first, 3) for at in restarts] == [6.0, 6.7, 12.5]
+
+
+def test_process_that_ends_after_a_cancelled_start_causes_no_unhandled_exception(monkeypatch):
+    raised = []
+
+    async def scenario():
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
+        guard = GuardProcess(
+            KNOWN, [BINDING], LoopClock(), lambda text: None, JitterMonitor(JitterLimit(1.0)), lambda: True
+        )
+
+        async def start(protocol, *words):
+            process = SimpleNamespace(
+                get_pipe_transport=lambda fd: None, get_returncode=lambda: -9, close=lambda: None
+            )
+            protocol.connection_made(process)
+            await asyncio.Event().wait()
+
+        monkeypatch.setattr("lfield.devices.guard_process.start_process", start)
+        opening = asyncio.create_task(guard.open())
+        await asyncio.sleep(0)
+        opening.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await opening
+        guard.connection_lost(None)
+        del guard
+        gc.collect()
+
+    run_jumping(scenario())
+    assert raised == []
 
 
 def test_stop_during_a_guard_restart_is_sent_after_open_devices(monkeypatch):

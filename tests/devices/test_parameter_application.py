@@ -48,6 +48,8 @@ class Store(Lamp):
     async def compare_settings(self, file, data):
         if data == b"gone":
             raise DeviceError("l", "it is gone")
+        if data == b"broken":
+            raise KeyError("HUE")
         changes = [SettingChange("COLOUR", 2.0, 6.0), SettingChange("LEVEL", 1.0, 5.0)]
         return SettingsComparison(changes, ["HUE"] * 20, ["AGE"], self.refusals, ["LEVEL"])
 
@@ -104,3 +106,6 @@ def test_refused_plan_raises_and_prints_every_reason():
         plan(Lamp())
     with pytest.raises(DevicesError):
         plan(Store(), b"gone")
+    with pytest.raises(DevicesError) as error:
+        plan(Store(), b"broken")
+    assert error.value.problems == ("a.l: the driver failed: KeyError('HUE')",)

@@ -61,7 +61,7 @@ def test_report_and_remedy_name_the_shortest_silence():
 
 
 def test_real_time_priority_shortens_the_silence_and_the_remedy():
-    limit = JitterLimit(0.2, prompt=True)
+    limit = JitterLimit(0.2, is_realtime=True)
     assert limit.shortest_silence(0.12) == 0.3
     assert limit.shortest_silence(0.09) == 0.2 < JitterLimit(0.2).shortest_silence(0.09)
     assert limit.remedy(0.12) == (
@@ -72,7 +72,7 @@ def test_real_time_priority_shortens_the_silence_and_the_remedy():
 
 def test_report_suggests_no_silence_above_the_maximum():
     assert JitterLimit(10.0).report(6.0).endswith("up to 6.00 s late, and no silence is long enough")
-    assert JitterLimit(10.0, prompt=True).remedy(7.0) == "reduce the load of this computer"
+    assert JitterLimit(10.0, is_realtime=True).remedy(7.0) == "reduce the load of this computer"
 
 
 # --- monitor ------------------------------------------------------------------------------------

@@ -124,6 +124,17 @@ def test_failed_write_of_a_restore_is_reported(folder):
     assert restore(entry, lamp) == (["LEVEL", "COLOUR"], ["lamp.l: it is gone"])
 
 
+def test_failed_driver_during_a_restore_is_reported(folder, monkeypatch):
+    lamp = Lamp()
+    (entry,) = set_up(folder, lamp)
+
+    async def fail(name, value):
+        raise KeyError(name)
+
+    monkeypatch.setattr(lamp, "write_setting", fail)
+    assert restore(entry, lamp)[1] == ["lamp.l: the driver failed: KeyError('LEVEL')"]
+
+
 def test_no_setting_is_written_while_a_device_is_in_use(folder):
     lamp, shining = Lamp(), Lamp("shining", in_use=True)
     with pytest.raises(DevicesError, match=r"shining\.l: nothing was written: it shines"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import grp
 import os
 import pty
@@ -113,6 +114,30 @@ async def test_unplugged_port_fails_requests_and_is_reopened(device):
     line.close()
     with pytest.raises(DeviceError, match="the port is closed"):
         line.send(b"x")
+
+
+async def test_request_that_loses_the_port_fails_once(device):
+    line, unhandled = device.line(), []
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: unhandled.append(context))
+    line.open()
+    device.unplug()
+    # `ask` writes before the loop can read the end of the port.
+    with pytest.raises(DeviceError, match="is gone"):
+        await line.ask(b"?\n", within=60.0)
+    gc.collect()
+    assert (len(device.notes), unhandled) == (1, [])
+    line.close()
+
+
+async def test_port_opens_if_the_latency_timer_is_not_readable(device, tmp_path, monkeypatch):
+    monkeypatch.setattr("lfield.driver.serial.serial_port._LATENCY", str(tmp_path / "timer-{}"))
+    # A file that can be neither written nor read, also by root.
+    (tmp_path / f"timer-{os.path.basename(os.ttyname(device.slave))}").mkdir()
+    line = device.line()
+    line.open()
+    os.write(device.master, b"hello\n")
+    await until(lambda: device.frames == [b"hello"])
+    line.close()
 
 
 async def test_serial_port_has_one_owner(device):

@@ -146,8 +146,12 @@ async def _restore(args: argparse.Namespace, plugins: Plugins, entries: list[Bac
         plans = []
         for device in found:
             entry = by_name[device.name]
-            present = await stored_values(device, [change.name for change in entry.changes])
-            plans.append(plan_restore(entry, device, present))
+            try:
+                present = await stored_values(device, [change.name for change in entry.changes])
+            except DevicesError as error:
+                problems += error.problems
+            else:
+                plans.append(plan_restore(entry, device, present))
         for plan in plans:
             print(*plan.lines(), sep="\n")
         if any(plan.writes for plan in plans) and not (args.yes or _confirmed()):

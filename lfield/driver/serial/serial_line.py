@@ -82,11 +82,12 @@ class SerialLine:
     async def _request_once(
         self, request: bytes, fits: Callable[[bytes], bool], within: float
     ) -> bytes | None:
+        # Sent first: if sending loses the port, `send` raises the only error of this request.
+        self.send(request)
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._answer = answer
         self._fits = fits
         try:
-            self.send(request)
             async with asyncio.timeout(within):
                 return await answer
         except TimeoutError:

@@ -113,7 +113,10 @@ class SerialPort:
             return
         with suppress(OSError):
             file.write_text("1")
-        milliseconds = int(file.read_text())
+        try:
+            milliseconds = int(file.read_text())
+        except (OSError, ValueError):  # unplugged, or without this file of its driver
+            return
         self.latency = milliseconds / 1000.0
         if milliseconds > 1:
             note(log_messages.SERIAL_LATENCY.line(port=self.path, milliseconds=milliseconds, file=file))
@@ -178,7 +181,7 @@ class SerialPort:
         number, text = getattr(error, "errno", None), str(error)
         if "exclusively lock" in text:
             return f"{self.path} is in use by another program; a serial port has one owner"
-        if number == 13:
+        if number == errno.EACCES:
             return permission_reason(self.path)
         if number:
             return os.strerror(number)
