@@ -10,6 +10,7 @@ from pathlib import Path
 
 from lfield.capability.condition_tree import MAX_TEAM
 from lfield.cli.mission_argument import add_running_mission, named_mission, selected_runs, selected_team
+from lfield.errors import UsageError
 from lfield.text.number_arguments import whole_between
 
 
@@ -55,6 +56,9 @@ def run(args: argparse.Namespace) -> int:
     from lfield.operator.client import PATIENT_SNAPSHOT, ask_teams, by_host, print_unanswered
     from lfield.operator.targets import open_team, running_mission
 
+    if args.query.endswith((".dL", ".lfm")):
+        example = f'lfield query "Lift where payload >= 2.0" {args.query}'
+        raise UsageError(f"no capability is named before {args.query}: {example}")
     path = named_mission(args) or running_mission(selected_runs(args))
     queries = TeamQueries(path, open_team(path), args.capabilities)
     registry = queries.context.registry

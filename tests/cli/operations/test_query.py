@@ -58,6 +58,12 @@ def ask(folder, capsys):
     return asked
 
 
+@pytest.mark.parametrize("words", ["--files mission.dL", "mission.dL --files", "mission.lfm"])
+def test_a_mission_without_a_query_is_not_used_as_the_query(words: str, folder, capsys) -> None:
+    assert main(["query", *words.split()]) == 64
+    assert "no capability is named before mission." in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "words",
     [
