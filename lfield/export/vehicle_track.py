@@ -32,11 +32,11 @@ from lfield.export.scene import (
 from lfield.operator.team_model.team_state import GeoPosition, LocalPosition, TelemetryReading
 from lfield.operator.team_model.vehicle_readings import (
     Instruments,
-    earth,
-    earth_to_frame,
-    frame_to_earth,
-    local,
-    number,
+    geo_to_local,
+    local_to_geo,
+    to_geo_position,
+    to_local_position,
+    to_number,
 )
 from lfield.wire.fields import Telemetry
 
@@ -131,13 +131,18 @@ class VehicleTracker:
         vehicle = self._vehicle(sample)
         vehicle.values.update(sample.values)
         instruments = vehicle.instruments
-        if not sample.values.keys() & {instruments.place, instruments.earth, instruments.heading, ATTITUDE}:
+        if not sample.values.keys() & {
+            instruments.position,
+            instruments.geo_position,
+            instruments.heading,
+            ATTITUDE,
+        }:
             return
-        place, on_earth = self._positions(vehicle)
+        place, geo = self._positions(vehicle)
         if self._is_early(vehicle, sample.time):
             return
-        if on_earth is not None and sample.values.keys() & {instruments.place, instruments.earth}:
-            yield ChannelMessage(vehicle.fixes, sample.time, _fix(sample, on_earth))
+        if geo is not None and sample.values.keys() & {instruments.position, instruments.geo_position}:
+            yield ChannelMessage(vehicle.fixes, sample.time, _fix(sample, geo))
         if place is None:
             return
         point = map_point(place.north, place.east, place.down or 0.0)
@@ -168,33 +173,35 @@ class VehicleTracker:
 
     def _is_early(self, vehicle: _Vehicle, now: float) -> bool:
         """Whether a position on the Earth, which would be comparable, may still come."""
-        may_come = bool(vehicle.instruments.earth) and vehicle.instruments.earth not in vehicle.values
+        may_come = (
+            bool(vehicle.instruments.geo_position) and vehicle.instruments.geo_position not in vehicle.values
+        )
         return may_come and not self._info.frames and abs(now - vehicle.first_at) < EARTH_TIMEOUT
 
     def _positions(self, vehicle: _Vehicle) -> tuple[LocalPosition | None, GeoPosition | None]:
         """The position in the team's frame, and on the Earth."""
         instruments = vehicle.instruments
-        place = local(vehicle.reading(instruments.place))
-        on_earth = earth(vehicle.reading(instruments.earth))
-        if self._origin is None and on_earth is not None:
-            self._origin = Origin(on_earth.latitude, on_earth.longitude, on_earth.altitude or 0.0)
-        if self._origin is not None and on_earth is not None and (place is None or not self._info.frames):
-            place = earth_to_frame(on_earth, self._origin)
-        elif self._info.origin is not None and on_earth is None and place is not None:
-            on_earth = frame_to_earth(place, self._info.origin)
-        height = number(vehicle.reading(instruments.height))
+        place = to_local_position(vehicle.reading(instruments.position))
+        geo = to_geo_position(vehicle.reading(instruments.geo_position))
+        if self._origin is None and geo is not None:
+            self._origin = Origin(geo.latitude, geo.longitude, geo.altitude or 0.0)
+        if self._origin is not None and geo is not None and (place is None or not self._info.frames):
+            place = geo_to_local(geo, self._origin)
+        elif self._info.origin is not None and geo is None and place is not None:
+            geo = local_to_geo(place, self._info.origin)
+        height = to_number(vehicle.reading(instruments.height))
         if place is not None and place.down is None and height is not None:
             place = place._replace(down=-height)
-        return place, on_earth
+        return place, geo
 
 
 def _attitude(vehicle: _Vehicle) -> Rotation:
     angles = vehicle.values.get(ATTITUDE)
     if isinstance(angles, list) and len(angles) == 3:
-        found = [number(TelemetryReading(each, 0.0)) for each in angles]
+        found = [to_number(TelemetryReading(each, 0.0)) for each in angles]
         if None not in found:
             return attitude_in_map(*(each or 0.0 for each in found))
-    heading = number(vehicle.reading(vehicle.instruments.heading))
+    heading = to_number(vehicle.reading(vehicle.instruments.heading))
     return NO_ROTATION if heading is None else attitude_in_map(0.0, 0.0, heading)
 
 

@@ -123,7 +123,8 @@ def _unreachable(hosts: _Hosts, names: Mapping[HostRef, str]) -> dict[HostRef, s
     lines: dict[HostRef, str] = {}
     linked = [host for host in hosts.values() if host.linked]
     for place in (place for place, host in hosts.items() if not host.linked):
-        silence = min((host.away[place.host] for host in linked if place.host in host.away), default=None)
+        silences = (host.unreachable_for.get(place.host) for host in linked)
+        silence = min((seconds for seconds in silences if seconds is not None), default=None)
         if any(place.host in host.links for host in linked):
             contact = "others are linked with it: it is up"
         else:

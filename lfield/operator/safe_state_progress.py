@@ -59,15 +59,15 @@ class DeviceProgress:
         no proof of rest.
         """
         self.telemetry = state.telemetry
-        if state.silent is not None and state.silent >= min(since, SILENCE_TIMEOUT):
-            if now - state.silent > self.last_contact + MIN_ADVANCE:
-                self.last, self.last_contact = telemetry_text(state.telemetry), now - state.silent
-            if state.silent >= SILENCE_TIMEOUT:
+        if state.telemetry_age is not None and state.telemetry_age >= min(since, SILENCE_TIMEOUT):
+            if now - state.telemetry_age > self.last_contact + MIN_ADVANCE:
+                self.last, self.last_contact = telemetry_text(state.telemetry), now - state.telemetry_age
+            if state.telemetry_age >= SILENCE_TIMEOUT:
                 self.activity = "no longer reporting"
             return
         self.is_at_rest = state.at_rest
         self.activity = self.last = _activity(state)
-        self.last_contact = now - (state.silent or 0.0)
+        self.last_contact = now - (state.telemetry_age or 0.0)
 
     def on_host_answered(self) -> None:
         """Records an answer of the host, whether or not it contains this device."""

@@ -132,7 +132,9 @@ class LocalProbe:
             return STARTING
         if status.stopped:
             return f"emergency stop ({status.stopped}): 'lfield estop --lift' ends it"
-        pauses = ["held until the result of a vote about an activation is known"] if status.held else []
+        pauses = (
+            ["held until the result of a vote about an activation is known"] if status.held_by_vote else []
+        )
         pauses += ["paused: 'lfield resume' continues it"] if status.paused else []
         start = status.report.start
         if pauses or start is None:
@@ -256,7 +258,7 @@ def _in_snapshot(host: HostState) -> Iterator[UnfinishedCoordinator]:
 
 def _motion(name: str, device: DeviceState | None) -> str:
     """The reason why a vehicle is not known to be at rest on the ground; '' if it is."""
-    if device is None or device.silent is None or device.silent > MAX_AGE:
+    if device is None or device.telemetry_age is None or device.telemetry_age > MAX_AGE:
         return f"{name} does not report whether it is on the ground"
     match device.telemetry.get(ON_GROUND):
         case True:

@@ -9,6 +9,7 @@ from __future__ import annotations
 SUITE = "runs these tests again, or tests that take hours"
 HARDWARE = "hardware: a port or a bus of the robot"
 INSTALLS = "installs software on the system"
+WIREGUARD = "needs wireguard-tools, which the page installs; tried in two network namespaces"
 NETWORK = "changes the network of the computer; tried in two network namespaces"
 SIMULATOR = "needs the simulators of the autopilots: tests/sitl runs them if they are installed"
 SERVICE = "needs systemd and a robot with lfield"
@@ -36,6 +37,8 @@ KIT = "listens on a fixed port: tests/kits runs every kit with every fake"
 EXCEPTIONS: dict[str, dict[str, str]] = {
     "lfield/docs/networks.md": {
         "sudo apt-get install wireguard-tools wireguard-go": INSTALLS,
+        "wg genkey > wg.key": WIREGUARD,
+        "wg pubkey < wg.key > wg.pub": WIREGUARD,
         "sudo wireguard-go -f wg0": NETWORK,
         "sudo wg set wg0 private-key wg.key listen-port 51820": NETWORK,
         "sudo wg set wg0 peer ROBOT_PUB allowed-ips 10.50.0.2/32": NETWORK,

@@ -44,7 +44,7 @@ def _host_state(host: HostState, starting: bool) -> str:
     if host.linked:
         return "up, no agents"
     if host.age is None:
-        return "starting" if starting else host.trouble
+        return "starting" if starting else host.problem
     return f"no answer for {host.age:.0f} s"
 
 
@@ -53,13 +53,13 @@ def _agent_state(agent: AgentState) -> str:
         return f"{agent.finished}: {agent.detail}".splitlines()[0].rstrip(": ")
     if agent.doubt:
         return f"in doubt: {agent.doubt}"
-    return f"migrating to {agent.to}" if agent.to else agent.state
+    return f"migrating to {agent.target}" if agent.target else agent.state
 
 
 def _place(agent: AgentState) -> str:
     """The position of an agent in the program, and the portal or instruction that it waits for."""
     line = f"{agent.file}:{agent.line}" if agent.line and not agent.finished else ""
-    return ", ".join(filter(None, (line, agent.waits and f"waits for {agent.waits}")))
+    return ", ".join(filter(None, (line, agent.waits_for and f"waits for {agent.waits_for}")))
 
 
 def device_table(devices: Iterable[DeviceState]) -> Table:
@@ -71,10 +71,10 @@ def device_table(devices: Iterable[DeviceState]) -> Table:
 
 
 def _device_state(device: DeviceState) -> str:
-    if device.silent is not None and device.silent > SILENCE_TIMEOUT:
-        return f"silent {device.silent:.0f} s"
+    if device.telemetry_age is not None and device.telemetry_age > SILENCE_TIMEOUT:
+        return f"silent {device.telemetry_age:.0f} s"
     if not device.latched:
-        return "in use" if device.silent is not None else "no telemetry yet"
+        return "in use" if device.telemetry_age is not None else "no telemetry yet"
     if not device.confirmed:
         return "safe state not confirmed"
     return f"safe: {device.moving}" if device.moving else "safe, at rest"

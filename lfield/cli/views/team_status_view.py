@@ -76,7 +76,7 @@ def _stopped(linked: Mapping[str, HostState]) -> list[str]:
 def _paused(linked: Mapping[str, HostState]) -> list[str]:
     hosts = [name for name, host in linked.items() if host.paused]
     lines = [f"paused: {', '.join(hosts)}; 'lfield resume' resumes the mission"] if hosts else []
-    if voters := [name for name, host in linked.items() if host.held]:
+    if voters := [name for name, host in linked.items() if host.held_by_vote]:
         lines.append(
             f"held by a vote about an activation: {', '.join(voters)}; 'lfield status' shows whose votes are "
             "unknown"
@@ -124,7 +124,7 @@ def _hosts(linked: Mapping[str, HostState]) -> Table:
     table = new_table("HOST", *right, "JOURNAL", right=right)
     for name, host in linked.items():
         report = host.report
-        late = f"{host.late:.3f} s" if host.late is not None else ""
+        late = f"{host.jitter:.3f} s" if host.jitter is not None else ""
         silence = f"{report.silence:g} s" if report.silence is not None else ""
         lease = "" if report.lease is None else f"{report.lease:.1f} s" if report.lease else "none"
         add_row(table, name, late, silence, lease, _journal(report.journal))
@@ -167,7 +167,7 @@ def _links(linked: Mapping[str, HostState]) -> tuple[Table, list[str]]:
     rows: list[_LinkRow] = []
     for name, host in linked.items():
         rows += [_LinkRow(name, peer, None, link) for peer, link in host.links.items()]
-        rows += [_LinkRow(name, peer, seconds, None) for peer, seconds in host.away.items()]
+        rows += [_LinkRow(name, peer, seconds, None) for peer, seconds in host.unreachable_for.items()]
     worst, summary = rows, list[str]()
     if len(rows) > MAX_LINK_ROWS:
         worst = sorted(rows, key=lambda row: row.badness, reverse=True)[:WORST_LINKS]

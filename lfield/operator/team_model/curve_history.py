@@ -56,8 +56,8 @@ class CurveHistory:
 
 def _values(vehicle: VehicleState) -> Iterator[tuple[CurveKind, float]]:
     """The present values of a vehicle: battery and height only from a linked host."""
-    if vehicle.link is not None:
-        yield "link", vehicle.link
+    if vehicle.telemetry_age is not None:
+        yield "link", vehicle.telemetry_age
     if vehicle.fresh and vehicle.battery is not None:
         yield "battery", vehicle.battery
     if vehicle.fresh and vehicle.height is not None:

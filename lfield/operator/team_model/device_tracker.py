@@ -16,7 +16,13 @@ from lfield.operator.team_model.team_state import (
     VehicleState,
     agent_of,
 )
-from lfield.operator.team_model.vehicle_readings import earth, earth_to_frame, frame_to_earth, local, number
+from lfield.operator.team_model.vehicle_readings import (
+    geo_to_local,
+    local_to_geo,
+    to_geo_position,
+    to_local_position,
+    to_number,
+)
 from lfield.wire.events import (
     DeviceLatched,
     DeviceMoving,
@@ -40,7 +46,7 @@ class _Device(Struct):
     clock).
     """
 
-    moves: bool | None = None
+    has_safe_state: bool | None = None
     latched: str = ""
     confirmed: bool = False
     moving: str = ""
@@ -49,10 +55,10 @@ class _Device(Struct):
 
 
 class DeviceTracker:
-    """The devices of a host: at first those that `moves` names, with whether each has a safe state."""
+    """The devices of a host: at first the keys of `has_safe_state`."""
 
-    def __init__(self, moves: Mapping[str, bool | None]) -> None:
-        self._known = {name: _Device(each) for name, each in moves.items()}
+    def __init__(self, has_safe_state: Mapping[str, bool | None]) -> None:
+        self._known = {name: _Device(each) for name, each in has_safe_state.items()}
 
     def on_event(self, event: DeviceEvent, when: float) -> None:
         """Handle an event that happened at `when`."""
@@ -60,10 +66,10 @@ class DeviceTracker:
         match event:
             case DeviceLatched(_, _, reason):
                 device.latched, device.confirmed, device.moving = reason or "latched", False, ""
-                device.moves = True
+                device.has_safe_state = True
             case SafeStateConfirmed(_, _, reason):
                 device.latched, device.confirmed = reason or device.latched or "latched", True
-                device.moves = True
+                device.has_safe_state = True
             case DeviceMoving(_, moving):
                 device.moving = moving
                 # At rest only counts once the safe state is confirmed.
@@ -82,7 +88,7 @@ class DeviceTracker:
                 bool(reported.latched) and reported.moving != UNCONFIRMED,
             )
             device.moving = "" if reported.moving == UNCONFIRMED else reported.moving
-            device.moves = True if reported.latched else device.moves
+            device.has_safe_state = True if reported.latched else device.has_safe_state
             if reported.silent is not None:
                 device.last_contact, device.values = now - reported.silent, reported.telemetry
 
@@ -94,7 +100,7 @@ class DeviceTracker:
     def on_movable(self, names: Iterable[str]) -> None:
         """Mark devices as having a safe state: a host reports whether a device is in it only for these."""
         for name in names:
-            self._device(name).moves = True
+            self._device(name).has_safe_state = True
 
     @property
     def problems(self) -> Mapping[str, str]:
@@ -102,7 +108,7 @@ class DeviceTracker:
         return {
             name: _unsafe_reason(device)
             for name, device in self._known.items()
-            if device.moves or (device.moves is None and device.latched)
+            if device.has_safe_state or (device.has_safe_state is None and device.latched)
         }
 
     def states(self, host: str, now: float, *, fresh: bool) -> dict[str, DeviceState]:
@@ -132,11 +138,11 @@ def _state(name: str, device: _Device, host: str, now: float, fresh: bool) -> De
         agent=agent_of(name),
         host=host,
         fresh=fresh,
-        moves=device.moves,
+        has_safe_state=device.has_safe_state,
         latched=device.latched,
         confirmed=device.confirmed,
         moving=device.moving,
-        silent=silent,
+        telemetry_age=silent,
         readings={each: TelemetryReading(value, silent or 0.0) for each, value in values.items()},
     )
 
@@ -144,9 +150,12 @@ def _state(name: str, device: _Device, host: str, now: float, fresh: bool) -> De
 # --- vehicles -----------------------------------------------------------------------------------------------
 
 
-def earth_of(state: Sequence[DeviceState], inventory: TeamContents) -> GeoPosition | None:
+def geo_position_of(state: Sequence[DeviceState], inventory: TeamContents) -> GeoPosition | None:
     """The position on the Earth according to the devices of an agent."""
-    places = (earth(device.readings.get(inventory.instruments(device.name).earth)) for device in state)
+    places = (
+        to_geo_position(device.readings.get(inventory.instruments(device.name).geo_position))
+        for device in state
+    )
     return next((place for place in places if place is not None), None)
 
 
@@ -171,41 +180,41 @@ def vehicle_of(
                 return reading
         return None
 
-    where, globe = first("place"), first("earth")
-    place, on_globe = local(where), earth(globe)
-    measured = where or globe
-    stated = place is None and on_globe is None
-    height = number(first("height"))
+    measured = first("position"), first("geo_position")
+    place, geo = to_local_position(measured[0]), to_geo_position(measured[1])
+    newest = measured[0] or measured[1]
+    stated = place is None and geo is None
+    height = to_number(first("height"))
     if height is None and place is not None and place.down is not None:
         height = -place.down
     place = place if not stated else inventory.agent_place(entry.agent)
-    if origin is not None and on_globe is not None and (place is None or not inventory.frames):
-        place = earth_to_frame(on_globe, origin)
-    elif inventory.origin is not None and on_globe is None and place is not None:
-        on_globe = frame_to_earth(place, inventory.origin)
+    if origin is not None and geo is not None and (place is None or not inventory.frames):
+        place = geo_to_local(geo, origin)
+    elif inventory.origin is not None and geo is None and place is not None:
+        geo = local_to_geo(place, inventory.origin)
     mode, armed = first("mode"), first("armed")
-    fence = number(first("fence"))
+    fence = to_number(first("fence"))
     limits = [inventory.limits.get(device.name, {}) for device in state]
-    ages = [device.silent for device in state if device.silent is not None]
+    ages = [device.telemetry_age for device in state if device.telemetry_age is not None]
     return VehicleState(
         agent=entry.agent,
         type=entry.type,
         host=state[0].host,
         fresh=state[0].fresh,
-        place=place,
-        earth=on_globe,
-        measured=measured.age if measured is not None else None,
-        stated=stated and place is not None,
-        heading=number(first("heading")),
-        speed=number(first("speed")),
+        position=place,
+        geo_position=geo,
+        position_age=newest.age if newest is not None else None,
+        is_position_stated=stated and place is not None,
+        heading=to_number(first("heading")),
+        speed=to_number(first("speed")),
         height=height,
-        battery=number(first("battery")),
+        battery=to_number(first("battery")),
         mode=str(mode.value) if mode is not None else "",
         armed=bool(armed.value) if armed is not None else None,
-        link=min(ages, default=None),
+        telemetry_age=min(ages, default=None),
         refusal=refusal,
         devices=state,
-        home=earth(first("home")),
+        home=to_geo_position(first("home")),
         radius=min((each["radius"] for each in limits if "radius" in each), default=None),
         ceiling=min((each["altitude"] for each in limits if "altitude" in each), default=None),
         fence=fence if fence is not None and 0.0 < fence < NO_FENCE else None,
@@ -215,13 +224,13 @@ def vehicle_of(
 def _fits(quantity: str, reading: TelemetryReading) -> bool:
     """Whether a reading is plausible for its name: hosts may report anything."""
     match quantity:
-        case "place":
-            return local(reading) is not None
-        case "earth" | "home":
-            return earth(reading) is not None
+        case "position":
+            return to_local_position(reading) is not None
+        case "geo_position" | "home":
+            return to_geo_position(reading) is not None
         case "mode":
             return isinstance(reading.value, str)
         case "armed":
             return isinstance(reading.value, bool)
         case _:
-            return number(reading) is not None
+            return to_number(reading) is not None

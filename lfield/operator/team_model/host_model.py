@@ -33,7 +33,7 @@ NO_LINK = LinkState()
 
 
 class HostModel:
-    """One host, at first with the devices that `moves` names.
+    """One host, at first with the devices that `has_safe_state` names.
 
     `known` is the state of the host except ages, dictionaries and devices. `first_after` is the number of the
     event before the first one that was received, `past` that of the newest event that a snapshot includes.
@@ -41,10 +41,13 @@ class HostModel:
     """
 
     def __init__(
-        self, name: str, place: LocalPosition | None = None, moves: Mapping[str, bool | None] | None = None
+        self,
+        name: str,
+        place: LocalPosition | None = None,
+        has_safe_state: Mapping[str, bool | None] | None = None,
     ) -> None:
-        self.devices, self._lost = DeviceTracker(moves or {}), Counter[str]()
-        self.known = HostState(name, trouble="no contact yet", place=place)
+        self.devices, self._lost = DeviceTracker(has_safe_state or {}), Counter[str]()
+        self.known = HostState(name, problem="no contact yet", position=place)
         self._start_life()
 
     def _start_life(self) -> None:
@@ -66,11 +69,11 @@ class HostModel:
     # --- in -------------------------------------------------------------------------------------------
 
     def on_linked(self) -> None:
-        self.known = replace(self.known, linked=True, trouble="", error=None)
+        self.known = replace(self.known, linked=True, problem="", error=None)
 
     def on_unlinked(self, reason: str, error: LfieldError | None = None) -> None:
         """Record that there is no link, or that the host has not answered, because of an `error`."""
-        self.known = replace(self.known, linked=False, trouble=reason, error=error)
+        self.known = replace(self.known, linked=False, problem=reason, error=error)
 
     def on_restarted(self) -> None:
         """Start a new incarnation of the host: only the telemetry is kept, and its clock may be another
@@ -78,7 +81,7 @@ class HostModel:
         """
         known = self.known
         self.devices.on_restarted()
-        self.known = HostState(known.host, place=known.place, restarts=known.restarts + 1)
+        self.known = HostState(known.host, position=known.position, restarts=known.restarts + 1)
         self._start_life()
 
     def on_batch(self, batch: EventBatch, now: float, wall: float, took: float | None = None) -> None:
@@ -92,8 +95,8 @@ class HostModel:
         self._last_update, self._uptime = now, batch.up
         behind = now - batch.up
         self._clock = behind if self._clock is None else min(behind, self._clock + DRIFT)
-        if took is not None or self.known.clock is None:
-            self.known = replace(self.known, clock=batch.now - wall, clock_within=took)
+        if took is not None or self.known.clock_offset is None:
+            self.known = replace(self.known, clock_offset=batch.now - wall, clock_uncertainty=took)
         self._lost.update(batch.lost)
 
     def on_snapshot(self, report: Status, latest: int, now: float) -> None:
@@ -103,13 +106,13 @@ class HostModel:
             self.known,
             report=report,
             paused=report.paused,
-            held=bool(report.ballot),
+            held_by_vote=bool(report.ballot),
             stopped=report.stopped,
-            late=report.late,
+            jitter=report.late,
             bundle=short_digest(bundle.digest) if bundle is not None else "",
             waits_for=tuple(start.hosts) if start is not None else (),
             start_held=start.held if start is not None else "",
-            reads=tuple(report.reads),
+            awaiting_input=tuple(report.reads),
         )
         self._refused = {refused.host: refused.reason for refused in report.refused}
         self._links = {link.host: _measured(link) for link in report.links if link.away is None}
@@ -133,11 +136,11 @@ class HostModel:
                 self.stopped_by, self.stopped_at = ("", None) if lifted else (by, when)
                 self.refusals = {}
             case events.PauseChanged(_, lifted, True):
-                self.known = replace(self.known, held=not lifted)
+                self.known = replace(self.known, held_by_vote=not lifted)
             case events.PauseChanged(_, lifted):
                 self.known = replace(self.known, paused=not lifted)
             case events.HostStopping(reason):
-                self.known = replace(self.known, ending=reason)
+                self.known = replace(self.known, end_reason=reason)
             case events.LinkRefused(peer, reason):
                 self._refused.pop(peer, None)
                 if reason:
@@ -146,7 +149,7 @@ class HostModel:
                 waits_for = tuple(filter(None, hosts.split(", ")))
                 self.known = replace(self.known, waits_for=waits_for, start_held=held)
             case events.InputAwaited(agents):
-                self.known = replace(self.known, reads=tuple(filter(None, agents.split(", "))))
+                self.known = replace(self.known, awaiting_input=tuple(filter(None, agents.split(", "))))
             case events.LinkUp(peer):
                 self._links[peer] = LinkState()
                 self._silent_since.pop(peer, None)
@@ -185,11 +188,11 @@ class HostModel:
         return replace(
             self.known,
             age=since,
-            up=None if since is None else self._uptime + (since if self.known.linked else 0.0),
+            uptime=None if since is None else self._uptime + (since if self.known.linked else 0.0),
             refused=dict(self._refused),
             links=dict(self._links),
-            away={peer: max(0.0, now - when) for peer, when in self._silent_since.items()},
-            lost=dict(self._lost),
+            unreachable_for={peer: max(0.0, now - when) for peer, when in self._silent_since.items()},
+            lost_events=dict(self._lost),
             devices=self.devices.states(self.known.host, now, fresh=self.known.linked),
         )
 

@@ -48,10 +48,10 @@ class TeamContents(Struct, frozen=True):
         """The quantities of a device, from its manifest if available."""
         return self.devices.get(device, DEFAULT_INSTRUMENTS)
 
-    def moves_of(self, host: str) -> Mapping[str, bool | None]:
+    def safe_state_flags(self, host: str) -> Mapping[str, bool | None]:
         """The devices of a host, with whether each has a safe state."""
         own = {agent.agent for agent in self.agents.values() if agent.host == host}
-        return {name: device.moves for name, device in self.devices.items() if agent_of(name) in own}
+        return {name: device.has_safe_state for name, device in self.devices.items() if agent_of(name) in own}
 
     def host_place(self, host: str) -> LocalPosition | None:
         """The position of a host in the devices file."""

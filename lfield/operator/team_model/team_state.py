@@ -62,41 +62,43 @@ class LinkState(Struct, frozen=True):
 class HostState(Struct, frozen=True):
     """The state of a host.
 
-    `linked`: connected now; else `trouble` is the reason and `age` the age (s) of its data, None if there was
-    no contact. `ending` is the reason of its end, if it reported one. `stopped` is the reason of an
-    active emergency stop, '' for none. `paused`: an operator has paused the mission there; `held`: the vote
-    about an activation does. `links` are its links to other hosts with their measurements, `away` the seconds
-    since its last contact with each unreachable one. Coordinators not started yet wait for the hosts in
-    `waits_for`, or for an operator because of `start_held`; `refused` are the hosts that it cannot link with,
-    each with the reason. `reads` are its agents that wait for a line of input. `bundle` are the first digits
-    of the digest of its bundle, '' for none. `lost` counts the lost events by kind. `clock` is the offset of
-    its clock to that of this computer (s), `clock_within` the uncertainty. `place` is its place in the
-    devices file. `error` is the error behind `trouble`. `devices` are its devices by name. `report` is its
-    last snapshot: read only fields that no event changes.
+    `linked`: connected now; else `problem` is the reason and `age` the age (s) of its data, None if there was
+    no contact. `uptime` is in seconds, and `jitter` the longest delay of its heartbeats to its guards in the
+    last minute (s). `end_reason` is the reason of its end, if it reported one. `stopped` is the reason of an
+    active emergency stop, '' for none. `paused`: an operator has paused the mission there; `held_by_vote`:
+    the vote about an activation has. `links` are its links to other hosts with their measurements,
+    `unreachable_for` the seconds since its last contact with each unreachable one. Coordinators not started
+    yet wait for the hosts in `waits_for`, or for an operator because of `start_held`; `refused` are the hosts
+    that it cannot link with, each with the reason. `awaiting_input` are its agents that wait for a line of
+    input. `bundle` are the first digits of the digest of its bundle, '' for none. `lost_events` counts the
+    lost events by kind. `clock_offset` is the offset of its clock to that of this computer (s) with
+    `clock_uncertainty`. `position` is its position in the devices file. `error` is the error behind
+    `problem`. `devices` are its devices by name. `report` is its last snapshot: read only fields that no
+    event changes.
     """
 
     host: str
     linked: bool = False
-    trouble: str = ""
+    problem: str = ""
     age: float | None = None
-    up: float | None = None
+    uptime: float | None = None
     restarts: int = 0
-    ending: str | None = None
+    end_reason: str | None = None
     stopped: str = ""
     paused: bool = False
-    held: bool = False
+    held_by_vote: bool = False
     waits_for: tuple[str, ...] = ()
     start_held: str = ""
-    reads: tuple[str, ...] = ()
+    awaiting_input: tuple[str, ...] = ()
     refused: Mapping[str, str] = field(default_factory=dict)
     bundle: str = ""
-    late: float | None = None
+    jitter: float | None = None
     links: Mapping[str, LinkState] = field(default_factory=dict)
-    away: Mapping[str, float] = field(default_factory=dict)
-    lost: Mapping[str, int] = field(default_factory=dict)
-    clock: float | None = None
-    clock_within: float | None = None
-    place: LocalPosition | None = None
+    unreachable_for: Mapping[str, float] = field(default_factory=dict)
+    lost_events: Mapping[str, int] = field(default_factory=dict)
+    clock_offset: float | None = None
+    clock_uncertainty: float | None = None
+    position: LocalPosition | None = None
     error: LfieldError | None = None
     devices: Mapping[str, DeviceState] = field(default_factory=dict)
     report: Status = NO_REPORT
@@ -105,20 +107,20 @@ class HostState(Struct, frozen=True):
 class DeviceState(Struct, frozen=True):
     """A device, `name` is AGENT.FIELD. `latched` is the reason why it is held in its safe state, or ''.
 
-    `confirmed`: it is in that state; `moving` describes its movement there, '' at rest. `silent` is the age
-    of its telemetry, None if there never was any. `moves` is whether it has a safe state at all, None if
-    unknown. A device that is not `fresh` is drawn grey: its host is unreachable.
+    `confirmed`: it is in that state; `moving` describes its movement there, '' at rest. `telemetry_age` is in
+    seconds, None if there never was any telemetry. `has_safe_state` is None if unknown. A device that is not
+    `fresh` is drawn grey: its host is unreachable.
     """
 
     name: str
     agent: str
     host: str
     fresh: bool
-    moves: bool | None = None
+    has_safe_state: bool | None = None
     latched: str = ""
     confirmed: bool = False
     moving: str = ""
-    silent: float | None = None
+    telemetry_age: float | None = None
     readings: Mapping[str, TelemetryReading] = field(default_factory=dict)
 
     @property
@@ -145,28 +147,29 @@ def agent_of(device: str) -> str:
 class VehicleState(Struct, frozen=True):
     """A resource with devices as a vehicle: the readings of its devices by meaning.
 
-    `place` and `earth` are its position, measured or derived with the origin of the team, and `measured`
-    seconds old; None for an agent without a position. `stated`: never measured, but stated in the devices
-    file. `height` is above the starting point (m), `battery` from 0 to 1, `heading` in radians. `link` is the
-    age of its newest telemetry (s). `radius` and `ceiling` are the limits of its binding, metres from and
-    above its `home`; `fence` is the radius of the fence of its autopilot, None without one.
+    `position` and `geo_position` are measured or derived with the origin of the team, and `position_age`
+    seconds old; None for an agent without a position. `is_position_stated`: never measured, but stated in the
+    devices file. `height` is above the starting point (m), `battery` from 0 to 1, `heading` in radians.
+    `telemetry_age` is the age of its newest telemetry (s). `radius` and `ceiling` are the limits of its
+    binding, metres from and above its `home`; `fence` is the radius of the fence of its autopilot, None
+    without one.
     """
 
     agent: str
     type: str
     host: str
     fresh: bool
-    place: LocalPosition | None = None
-    earth: GeoPosition | None = None
-    measured: float | None = None
-    stated: bool = False
+    position: LocalPosition | None = None
+    geo_position: GeoPosition | None = None
+    position_age: float | None = None
+    is_position_stated: bool = False
     heading: float | None = None
     speed: float | None = None
     height: float | None = None
     battery: float | None = None
     mode: str = ""
     armed: bool | None = None
-    link: float | None = None
+    telemetry_age: float | None = None
     refusal: str = ""
     devices: tuple[DeviceState, ...] = ()
     home: GeoPosition | None = None
@@ -181,30 +184,30 @@ class VehicleState(Struct, frozen=True):
 
 
 class HopState(Struct, frozen=True):
-    """A hop `of` one host `to` another, started `age` seconds ago, for the call of RESOURCE.PORTAL.
+    """A hop from one host to another, started `age` seconds ago, for the call of RESOURCE.PORTAL.
 
-    `seconds` is its duration as measured by the sender, None while unknown. `number` is that of the transfer.
-    `failed` is the reason why it did not arrive, '' otherwise.
+    `duration` is in seconds as measured by the sender, None while unknown. `number` is that of the transfer.
+    `failure` is the reason why it did not arrive, '' otherwise.
     """
 
     number: int
-    of: str
-    to: str
+    source: str
+    target: str
     age: float
     resource: str = ""
     portal: str = ""
     size: int = 0
-    seconds: float | None = None
-    failed: str = ""
+    duration: float | None = None
+    failure: str = ""
 
 
 class AgentState(Struct, frozen=True):
-    """An agent. `host` is the host where it last ran; `to` is the destination of its hop, '' if not in
+    """An agent. `host` is the host where it last ran; `target` is the destination of its hop, '' if not in
     transit.
 
-    `state` is its activity in a word, `file` and `line` its position in the program (0: unknown), `waits` the
-    portal or instruction that it waits for. `finished` is its end: '', done, died, lost, superseded, with the
-    `detail`. `doubt` is the reason why its state is unknown. `hops` counts all, None for one that ended
+    `state` is its activity in a word, `file` and `line` its position in the program (0: unknown), `waits_for`
+    the portal or instruction that it waits for. `finished` is its end: '', done, died, lost, superseded, with
+    the `detail`. `doubt` is the reason why its state is unknown. `hops` counts all, None for one that ended
     before this computer watched, unless its last host reports it; `trail` are the last hops, newest last.
     """
 
@@ -217,11 +220,11 @@ class AgentState(Struct, frozen=True):
     generation: int = 0
     hops: int | None = 0
     served: int = 0
-    to: str = ""
+    target: str = ""
     state: str = ""
     file: str = ""
     line: int = 0
-    waits: str = ""
+    waits_for: str = ""
     finished: str = ""
     detail: str = ""
     doubt: str = ""
@@ -231,8 +234,8 @@ class AgentState(Struct, frozen=True):
 class OfferState(Struct, frozen=True):
     """Whether an agent can be called, as reported by the host `reported_by`: its own if linked, else any.
 
-    `refusal` is the reason why not, '' if it can. `apart` are the hosts that report otherwise, with their
-    reasons.
+    `refusal` is the reason why not, '' if it can. `other_reports` are the hosts that report
+    otherwise, with their reasons.
     """
 
     agent: str
@@ -240,7 +243,7 @@ class OfferState(Struct, frozen=True):
     reported_by: str
     refusal: str
     fresh: bool
-    apart: Mapping[str, str] = field(default_factory=dict)
+    other_reports: Mapping[str, str] = field(default_factory=dict)
 
 
 class ShownLogLine(NamedTuple):
@@ -264,9 +267,9 @@ class StopState(Struct, frozen=True):
     """An emergency stop in force on some host, or sent from here: confirmed and unconfirmed devices.
 
     `hosts` are those where it is in force. `confirmed` and `unconfirmed` are their devices, the latter with
-    the reason; `unreached` are hosts that should have stopped without confirmation, with the reason. `asked`
-    are hosts that have not answered the order from here yet. `before` are
-    unreachable hosts that had stopped when they were last linked, with what was safe then.
+    the reason; `unreached` are hosts that should have stopped without confirmation, with the reason.
+    `pending` are hosts that have not answered the order from here yet. `stopped_before` are unreachable hosts
+    that had stopped when they were last linked, with the devices that were safe then.
     """
 
     reason: str = ""
@@ -276,52 +279,53 @@ class StopState(Struct, frozen=True):
     confirmed: tuple[str, ...] = ()
     unconfirmed: Mapping[str, str] = field(default_factory=dict)
     unreached: Mapping[str, str] = field(default_factory=dict)
-    asked: tuple[str, ...] = ()
-    before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    pending: tuple[str, ...] = ()
+    stopped_before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
-    def stands(self) -> bool:
+    def is_active(self) -> bool:
         """Whether a stop is in force on some linked host."""
         return bool(self.hosts)
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether every device of every host of the team is confirmed safe."""
-        return self.stands and not (self.unconfirmed or self.unreached or self.asked or self.before)
+        is_open = self.unconfirmed or self.unreached or self.pending or self.stopped_before
+        return self.is_active and not is_open
 
 
 class OrderState(Struct, frozen=True):
     """The result of an order that was sent from here `age` seconds ago, as far as it is still true.
 
-    `asked` are the hosts that have not answered yet, `done` those that have executed it, `unreached` those
+    `pending` are the hosts that have not answered yet, `done` those that have executed it, `unreached` those
     that have not as far as is known, with the reasons. `unconfirmed` are devices that are not safe yet, and
-    `troubles` warnings of hosts. `number` counts all orders from 1.
+    `warnings` are those of hosts. `number` counts all orders from 1.
     """
 
     number: int
     order: OrderKind
     age: float
-    asked: tuple[str, ...] = ()
+    pending: tuple[str, ...] = ()
     done: tuple[str, ...] = ()
     unreached: Mapping[str, str] = field(default_factory=dict)
     unconfirmed: Mapping[str, str] = field(default_factory=dict)
-    troubles: Mapping[str, str] = field(default_factory=dict)
+    warnings: Mapping[str, str] = field(default_factory=dict)
 
 
 class Curve(Struct, frozen=True):
-    """A quantity of the last minutes: pairs of seconds before now and value, oldest first. `what` is battery,
-    height, link or hops (per minute), `of` the agent."""
+    """A quantity of the last minutes: pairs of seconds before now and value, oldest first. `hops` are
+    per minute."""
 
-    what: Literal["battery", "height", "link", "hops"]
-    of: str
+    quantity: Literal["battery", "height", "link", "hops"]
+    agent: str
     points: tuple[tuple[float, float], ...]
 
 
 class TrackPoint(NamedTuple):
     """A point of a track: metres north and east in the frame of the team, and degrees, as far as known."""
 
-    place: tuple[float, float] | None
-    earth: tuple[float, float] | None
+    position: tuple[float, float] | None
+    geo_position: tuple[float, float] | None
 
 
 class AgentTrack(NamedTuple):

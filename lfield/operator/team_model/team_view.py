@@ -15,7 +15,7 @@ from lfield.errors import AddressError, LfieldError
 from lfield.operator.team_model.agent_tracker import AgentEvent, AgentTracker
 from lfield.operator.team_model.command_log import CommandLog
 from lfield.operator.team_model.curve_history import CurveHistory
-from lfield.operator.team_model.device_tracker import earth_of, vehicle_of
+from lfield.operator.team_model.device_tracker import geo_position_of, vehicle_of
 from lfield.operator.team_model.host_model import HostModel
 from lfield.operator.team_model.log_buffer import LogBuffer, LogEvent, LogRecord
 from lfield.operator.team_model.team_contents import TeamContents
@@ -123,7 +123,7 @@ class TeamView:
         return self._hosts[name]
 
     def _new_host(self, name: str) -> HostModel:
-        return HostModel(name, self.inventory.host_place(name), self.inventory.moves_of(name))
+        return HostModel(name, self.inventory.host_place(name), self.inventory.safe_state_flags(name))
 
     def _host_of(self, name: str, incarnation: int) -> HostModel:
         """A host in one of its incarnations."""
@@ -224,7 +224,7 @@ class TeamView:
         stays.
         """
         for own in devices.values() if self._origin is None else ():
-            place = earth_of(own, self.inventory)
+            place = geo_position_of(own, self.inventory)
             if place is not None:
                 self._origin = Origin(place.latitude, place.longitude, place.altitude or 0.0)
                 return
@@ -265,7 +265,7 @@ class TeamView:
                     device: host.refusals.get(device, reason) for device, reason in states.items() if reason
                 }
         unreached = dict(pressed.unreached) if pressed is not None else {}
-        pending = pressed.asked if pressed is not None else ()
+        pending = pressed.pending if pressed is not None else ()
         for name, host in self._hosts.items() if linked or pressed is not None else ():
             if name not in {*stopped, *unreached, *pending}:
                 unreached[name] = _unknown_why(host.known)
@@ -288,6 +288,6 @@ def _unknown_why(host: HostState) -> str:
     """The reason why the stop of a host is not confirmed."""
     if host.linked:
         return "the host has not confirmed the stop"
-    if host.ending is None:
-        return host.trouble
-    return f"the host has ended: {host.ending}" if host.ending else "the host has ended"
+    if host.end_reason is None:
+        return host.problem
+    return f"the host has ended: {host.end_reason}" if host.end_reason else "the host has ended"

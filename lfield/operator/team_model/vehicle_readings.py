@@ -22,20 +22,20 @@ _AXIS, _ECCENTRICITY = 6378137.0, 0.00669437999014
 
 
 #: The units of an array with a geographic position: each element has its own.
-_EARTHLY = ("°, °", "°, °, m", "deg, deg", "deg, deg, m")
+_GEO_UNITS = ("°, °", "°, °, m", "deg, deg", "deg, deg, m")
 
 
 class Instruments(Struct, frozen=True):
     """The quantities of a device by meaning; '' for those that it does not have.
 
-    `moves` is whether it has a safe state. `place` is north, east and perhaps down in metres, `earth` is
-    latitude and longitude in degrees, perhaps metres above sea level; `heading` in radians, `battery` from 0
-    to 1. `home` is as `earth`, `fence` the radius of the fence around it in metres.
+    `position` is north, east and perhaps down in metres, `geo_position` is latitude and longitude in degrees,
+    perhaps metres above sea level; `heading` in radians, `battery` from 0 to 1. `home` is as `geo_position`,
+    `fence` the radius of the fence around it in metres.
     """
 
-    moves: bool | None = None
-    place: str = "position"
-    earth: str = "globalPosition"
+    has_safe_state: bool | None = None
+    position: str = "position"
+    geo_position: str = "globalPosition"
     heading: str = "heading"
     speed: str = "groundSpeed"
     height: str = "altitude"
@@ -54,16 +54,16 @@ def instruments_of(manifest: DeviceManifest) -> Instruments:
     """The quantities of a device type: by their usual names in vehicles, where type and unit match."""
     telemetry = {quantity.name: quantity for quantity in manifest.telemetry}
     arrays = [quantity for quantity in manifest.telemetry if quantity.type == "real[]"]
-    places = [
+    local = [
         q.name
         for q in arrays
-        if q.unit == "m" and (q.frame == "place" or q.name == DEFAULT_INSTRUMENTS.place)
+        if q.unit == "m" and (q.frame == "place" or q.name == DEFAULT_INSTRUMENTS.position)
     ]
-    earths = [q.name for q in arrays if q.unit in _EARTHLY or q.name == DEFAULT_INSTRUMENTS.earth]
+    geo = [q.name for q in arrays if q.unit in _GEO_UNITS or q.name == DEFAULT_INSTRUMENTS.geo_position]
     return Instruments(
-        moves=bool(manifest.safe_states),
-        place=places[0] if places else "",
-        earth=earths[0] if earths else "",
+        has_safe_state=bool(manifest.safe_states),
+        position=local[0] if local else "",
+        geo_position=geo[0] if geo else "",
         heading=_named(telemetry, "real", "rad", DEFAULT_INSTRUMENTS.heading, "course"),
         speed=_named(telemetry, "real", "m/s", DEFAULT_INSTRUMENTS.speed, "speed"),
         height=_named(telemetry, "real", "m", DEFAULT_INSTRUMENTS.height),
@@ -83,7 +83,7 @@ def _named(quantities: Mapping[str, Quantity], type: str, unit: str, *names: str
 # --- readings, which may be anything that a host has sent -----------------------------------------------
 
 
-def number(reading: TelemetryReading | None) -> float | None:
+def to_number(reading: TelemetryReading | None) -> float | None:
     """A finite number, None for anything else."""
     value = reading.value if reading is not None else None
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -91,13 +91,13 @@ def number(reading: TelemetryReading | None) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def local(reading: TelemetryReading | None) -> LocalPosition | None:
+def to_local_position(reading: TelemetryReading | None) -> LocalPosition | None:
     """North, east, and down if available."""
     found = _numbers(reading)
     return None if found is None else LocalPosition(found[0], found[1], found[2] if len(found) > 2 else None)
 
 
-def earth(reading: TelemetryReading | None) -> GeoPosition | None:
+def to_geo_position(reading: TelemetryReading | None) -> GeoPosition | None:
     """Degrees, if plausible: a receiver without a fix may report anything."""
     found = _numbers(reading)
     if found is None or abs(found[0]) > 90.0 or abs(found[1]) > 180.0:
@@ -116,7 +116,7 @@ def _numbers(reading: TelemetryReading | None) -> Sequence[float] | None:
 # --- metres and degrees -------------------------------------------------------------------------------------
 
 
-def frame_to_earth(place: LocalPosition, origin: Origin) -> GeoPosition | None:
+def local_to_geo(place: LocalPosition, origin: Origin) -> GeoPosition | None:
     """A position of the team's frame on the Earth; None beyond the poles."""
     north, east = _radii(origin)
     latitude = origin.latitude + math.degrees(place.north / north)
@@ -127,7 +127,7 @@ def frame_to_earth(place: LocalPosition, origin: Origin) -> GeoPosition | None:
     return GeoPosition(latitude, math.remainder(longitude, 360.0), altitude)
 
 
-def earth_to_frame(place: GeoPosition, origin: Origin) -> LocalPosition:
+def geo_to_local(place: GeoPosition, origin: Origin) -> LocalPosition:
     """A position on the Earth in the team's frame."""
     north, east = _radii(origin)
     longitude = math.remainder(place.longitude - origin.longitude, 360.0)

@@ -79,17 +79,18 @@ class TeamTracks:
 
 def point_of(vehicle: VehicleState) -> TrackPoint | None:
     """The position of a vehicle as a point; None for one without a measured position."""
-    if vehicle.stated or (vehicle.place is None and vehicle.earth is None):
+    if vehicle.is_position_stated or (vehicle.position is None and vehicle.geo_position is None):
         return None
-    place = None if vehicle.place is None else (round(vehicle.place.north, 2), round(vehicle.place.east, 2))
-    earth = vehicle.earth
-    return TrackPoint(place, None if earth is None else (round(earth.latitude, 7), round(earth.longitude, 7)))
+    local = vehicle.position
+    position = None if local is None else (round(local.north, 2), round(local.east, 2))
+    geo = vehicle.geo_position
+    return TrackPoint(position, None if geo is None else (round(geo.latitude, 7), round(geo.longitude, 7)))
 
 
 def _is_apart(point: TrackPoint, other: TrackPoint, step: float) -> bool:
     for before, after, minimum in (
-        (point.place, other.place, _DISTANCE),
-        (point.earth, other.earth, _DEGREES),
+        (point.position, other.position, _DISTANCE),
+        (point.geo_position, other.geo_position, _DEGREES),
     ):
         if (before is None) is not (after is None):
             return True

@@ -22,9 +22,9 @@ def query_json(answer: QueryAnswer) -> bytes:
     return msgspec.json.encode(
         {
             "question": answer.question,
-            "mistakes": answer.mistakes,
+            "errors": answer.mistakes,
             "unreachable": answer.unanswered,
-            "found": [_found(found, answer.units) for found in answer.found],
+            "answers": [_found(found, answer.units) for found in answer.found],
         }
     )
 
@@ -60,4 +60,4 @@ def _offer(offer: Offer, units: Mapping[str, str]) -> dict[str, Any]:
 
 def order_json(order: OrderOutcome) -> bytes:
     """The result of an order as JSON."""
-    return msgspec.json.encode({**msgspec.to_builtins(order), "well": order.is_complete})
+    return msgspec.json.encode({**msgspec.to_builtins(order), "is_complete": order.is_complete})

@@ -33,7 +33,7 @@ from lfield.operator.web.tiles.background import NO_BACKGROUND, PageBackground
 from lfield.wire.fields import MAX_INPUT, Name
 
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
-_MOST_BYTES = 20_000
+_MAX_BODY = 20_000
 #: Keep-alive time of an idle connection (s).
 _IDLE = 3600
 
@@ -135,15 +135,15 @@ class _Server(uvicorn.Server):
 
 def _add_routes(app: FastAPI, served: ServedPage) -> None:
     tiles = served.background.tiles
-    about = None
+    background = None
     if tiles is not None:
-        about = {"least": tiles.min_zoom, "most": tiles.max_zoom, "credit": tiles.credit}
-        about["address"] = tiles.address
+        background = {"min_zoom": tiles.min_zoom, "max_zoom": tiles.max_zoom, "credit": tiles.credit}
+        background["url"] = tiles.address
     actions, replay = served.actions, served.replay
     snapshots = PageSnapshots(
         served.source,
         lambda: {} if actions is None else actions.denied_orders,
-        about,
+        background,
         served.clock.monotonic,
         replay,
     )
@@ -153,7 +153,7 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
     if replay is not None:
         _add_replay(app, replay)
 
-    @app.get("/look")
+    @app.get("/snapshot")
     async def snapshot(after: int = 0, point: int = 0, epoch: int = 0) -> Response:
         return _json(snapshots.snapshot(after, epoch, point))
 
@@ -174,23 +174,23 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
 
 
 def _add_actions(app: FastAPI, actions: OperatorActions, clock: Clock) -> None:
-    @app.post("/act")
-    async def act(request: Request) -> Response:
+    @app.post("/order")
+    async def order(request: Request) -> Response:
         body = await _body(request)
         action, pressed, now = body.get("action"), body.get("pressed"), clock.monotonic()
         execute = buttons(actions, stop_reason(REASON, pressed, now)).get(str(action))
         if execute is None:
             return _refused("unknown action")
         # The hosts would refuse a denied order too; this saves the requests.
-        for order, reason in actions.denied_orders.items():
-            if order == action:
+        for denied, reason in actions.denied_orders.items():
+            if denied == action:
                 return _refused(reason, 403)
         if reason := refusal(action, pressed, now):
             return _refused(reason, 409)
         return _json(order_json(await execute()))
 
-    @app.post("/type")
-    async def enter(request: Request) -> Response:
+    @app.post("/input")
+    async def enter_line(request: Request) -> Response:
         body = await _body(request)
         try:
             line = msgspec.convert(body, _Line)
@@ -218,11 +218,11 @@ def _add_replay(app: FastAPI, replay: ReplayControl) -> None:
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    """The body of a request, {} if it is not a JSON object of at most `_MOST_BYTES`."""
+    """The body of a request, {} if it is not a JSON object of at most `_MAX_BODY`."""
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > _MOST_BYTES:
+        if len(body) > _MAX_BODY:
             return {}
     try:
         return msgspec.json.decode(body, type=dict[str, Any])

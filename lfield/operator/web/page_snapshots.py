@@ -36,36 +36,46 @@ MAX_LOG_LINES = MAX_LINES
 MAX_POINTS = 150
 
 
-#: Fields of a host that the page does not get: `vehicles` has the devices, `trouble` the text of the error.
-_NOT_SHOWN = ("error", "devices", "report")
-_HOST_FIELDS = tuple(name for name in HostState.__struct_fields__ if name not in _NOT_SHOWN)
+#: Fields of hosts and vehicles that the page does not show. `vehicles` has the devices of hosts.
+_HIDDEN_OF_HOST = {
+    *("error", "devices", "report", "uptime", "restarts", "jitter", "clock_uncertainty", "position"),
+}
+_HIDDEN_OF_VEHICLE = {"devices", "type", "position_age", "is_position_stated", "speed", "refusal"}
+_HOST_FIELDS = tuple(name for name in HostState.__struct_fields__ if name not in _HIDDEN_OF_HOST)
+_VEHICLE_FIELDS = tuple(name for name in VehicleState.__struct_fields__ if name not in _HIDDEN_OF_VEHICLE)
+#: Fields of a device that the page shows.
+_DEVICE_FIELDS = ("name", "fresh", "latched", "confirmed", "moving")
 
 
 def team_json(state: TeamState, denied: Mapping[OrderKind, str], tiles: Mapping[str, Any] | None) -> bytes:
     """The whole state except the log, as a JSON object."""
     return msgspec.json.encode(
         {
-            "team": state.team,
-            "hosts": [{name: getattr(host, name) for name in _HOST_FIELDS} for host in state.hosts.values()],
-            "vehicles": [_slim(vehicle) for vehicle in state.vehicles.values()],
+            "name": state.team,
+            "hosts": [_fields(host, _HOST_FIELDS) for host in state.hosts.values()],
+            "vehicles": [_vehicle_data(vehicle) for vehicle in state.vehicles.values()],
             "coordinators": list(state.coordinators.values()),
             "offers": list(state.offers.values()),
             "stop": state.stop,
             "orders": state.orders,
-            "stands": state.stop.stands,
-            "complete": state.stop.complete,
+            "is_stopped": state.stop.is_active,
+            "is_stop_complete": state.stop.is_complete,
             "paused": state.paused,
-            "barred": denied,
+            "denied_orders": denied,
             "tiles": tiles,
-            "prompt": MAX_DELAY,
-            "lines": MAX_LOG_LINES,
+            "press_timeout": MAX_DELAY,
+            "max_log_lines": MAX_LOG_LINES,
         }
     )
 
 
-def _slim(vehicle: VehicleState) -> VehicleState:
-    """The state without raw telemetry: the shown values are fields of their own."""
-    return replace(vehicle, devices=tuple(replace(device, readings={}) for device in vehicle.devices))
+def _vehicle_data(vehicle: VehicleState) -> dict[str, Any]:
+    devices = [_fields(device, _DEVICE_FIELDS) for device in vehicle.devices]
+    return {**_fields(vehicle, _VEHICLE_FIELDS), "devices": devices}
+
+
+def _fields(state: object, names: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(state, name) for name in names}
 
 
 def log_json(log: Sequence[ShownLogLine], after: int) -> bytes:
@@ -149,7 +159,7 @@ class PageSnapshots:
         log = log_json(self._state.log, after if epoch == self._epoch else 0)
         tracks = tracks_json(self.source.tracks(point))
         parts = msgspec.json.encode(self._at), self._team, log, tracks, self._epoch, self._position
-        return b'{"at":%b,"look":%b,"log":%b,"tracks":%b,"epoch":%d,"replay":%b}' % parts
+        return b'{"at":%b,"team":%b,"log":%b,"tracks":%b,"epoch":%d,"replay":%b}' % parts
 
     def _newest_state(self) -> TeamState:
         if self.replay is None:

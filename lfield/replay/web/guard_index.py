@@ -13,7 +13,7 @@ from lfield.errors import RecordingError
 from lfield.guard.recording.guard_segments import TelemetryValue, rings_in, telemetry_in
 from lfield.host.status import telemetry_of
 from lfield.manifest import DeviceValue
-from lfield.operator.team_model.device_tracker import earth_of, vehicle_of
+from lfield.operator.team_model.device_tracker import geo_position_of, vehicle_of
 from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
 from lfield.operator.team_model.team_state import DeviceState, TelemetryReading, TrackPoint, agent_of
 from lfield.operator.team_model.vehicle_tracks import TrackHistory, point_of
@@ -26,8 +26,8 @@ from lfield.wire.events import Event
 
 #: The meanings of quantities that the page shows; others are not kept.
 _QUANTITY_MEANINGS = (
-    "place",
-    "earth",
+    "position",
+    "geo_position",
     "heading",
     "speed",
     "height",
@@ -72,7 +72,7 @@ class VehicleTracks:
         telemetry = telemetry_of(recorded.values)
         readings = {name: TelemetryReading(known, 0.0) for name, known in telemetry.items()}
         state = (DeviceState(device, agent, "", fresh=True, readings=readings),)
-        if self._origin is None and (first := earth_of(state, self._contents)) is not None:
+        if self._origin is None and (first := geo_position_of(state, self._contents)) is not None:
             self._origin = Origin(first.latitude, first.longitude, first.altitude or 0.0)
         vehicle = vehicle_of(TeamEntry(agent, "", ""), state, "", self._contents, self._origin)
         if (point := point_of(vehicle)) is not None:
@@ -153,7 +153,7 @@ class GuardIndex:
             return
         trace.times.append(time)
         trace.values.append(value.value)
-        if value.quantity in (instruments.place, instruments.earth):
+        if value.quantity in (instruments.position, instruments.geo_position):
             self.tracks.add(agent_of(value.device), value.device, value.quantity, time, value.value)
 
     def _add_event(self, numbers: list[int], event: DeviceEvent) -> None:

@@ -59,8 +59,8 @@ class ReplaySession:
         self._has_guards = False
         self._thread: threading.Thread | None = None
         self._published_at = now()
-        #: The number of the last command that was given, and that of the last one that was executed.
-        self._given_count = self._executed = 0
+        #: The number of the last requested command, and that of the last one that was executed.
+        self._requested_count = self._executed = 0
         self._published: tuple[TeamState, dict[str, Any]] = self._made_state()
         self._place = self._debugger.place
 
@@ -87,7 +87,7 @@ class ReplaySession:
     def published(self) -> ShownPosition:
         """The last published state with the position."""
         state, position = self._published
-        numbers = {"given": self._given_count, "executed": self._executed}
+        numbers = {"requested": self._requested_count, "executed": self._executed}
         return ShownPosition(state, position["epoch"], msgspec.json.encode({**position, **numbers}))
 
     def curves(self) -> tuple[Curve, ...]:
@@ -105,7 +105,7 @@ class ReplaySession:
             return command
         with self._changed:
             self._waiting = command
-            self._given_count += 1
+            self._requested_count += 1
             self._changed.notify()
         return ""
 
@@ -139,7 +139,7 @@ class ReplaySession:
         self._player.stop(problem)
         self._debugger.go_to(self._place)
         state, position = self._published
-        self._published = state, {**position, "speed": 0.0, "trouble": problem}
+        self._published = state, {**position, "speed": 0.0, "problem": problem}
         self._executed = self._number
 
     def _continue(self) -> None:
@@ -159,7 +159,7 @@ class ReplaySession:
             if self._waiting is None and not self._is_closed and self._is_indexed:
                 self._changed.wait(PLAY_INTERVAL if self._player.speed else None)
             command, self._waiting = self._waiting, None
-            self._number = self._given_count
+            self._number = self._requested_count
             return command
 
     def _execute(self, command: ReplayCommand) -> None:
@@ -198,7 +198,7 @@ class ReplaySession:
             "speed": player.speed,
             "progress": self._events.progress if self._has_guards else 0.0,
             "epoch": self._team.epoch,
-            "trouble": player.problem,
+            "problem": player.problem,
             "missing": list(recording.missing),
             "problems": [*recording.problems, *self._events.problems, *self._guards.problems],
             "coordinators": list(coordinators_of(debugger)),

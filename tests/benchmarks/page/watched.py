@@ -40,12 +40,12 @@ class Browser:
 
     def request(self) -> dict[str, bool]:
         """Request the page's data; returns for each device whether it is latched."""
-        self._connection.request("GET", f"/look?after={self._line}", headers=self._headers)
+        self._connection.request("GET", f"/snapshot?after={self._line}", headers=self._headers)
         answer = self._connection.getresponse().read()
         self.size = len(answer)
         data = json.loads(answer)
         self._line = data["log"][-1]["serial"] if data["log"] else self._line
-        return {d["name"]: bool(d["latched"]) for v in data["look"]["vehicles"] for d in v["devices"]}
+        return {d["name"]: bool(d["latched"]) for v in data["team"]["vehicles"] for d in v["devices"]}
 
 
 def watched(count: int) -> Opener:

@@ -30,7 +30,9 @@ async def main(folder: str, count: int) -> None:
     hosts = tuple(f"h{number}" for number in range(count))
     agents = {f"v{n}": TeamEntry(f"v{n}", "Copter", f"h{n}", "resource") for n in range(count)}
     agents["pilot"] = TeamEntry("pilot", "Pilot", "h0", "coordinator")
-    roll = TeamContents("bench", hosts, agents, {f"v{n}.fc": Instruments(moves=True) for n in range(count)})
+    roll = TeamContents(
+        "bench", hosts, agents, {f"v{n}.fc": Instruments(has_safe_state=True) for n in range(count)}
+    )
     clock = SystemClock()
     shown = TeamWatch(roll, clock)
 

@@ -54,7 +54,7 @@ def page(link: str) -> Press:
 
     def press(order: str) -> str:
         body = json.dumps({"action": order, "pressed": time.monotonic()})
-        connection.request("POST", "/act", body, headers)
+        connection.request("POST", "/order", body, headers)
         answered = connection.getresponse()
         text = answered.read().decode()
         return "" if answered.status == 200 and json.loads(text)["well"] else f"{answered.status}: {text}"

@@ -138,7 +138,7 @@ class Browsing:
             made.close()
 
     def look(self) -> dict:
-        return json.loads(self.asks("/look")[1])["look"]
+        return json.loads(self.asks("/snapshot")[1])["team"]
 
     def until(self, told: Callable[[dict], bool]) -> dict:
         """Poll the page until it shows a condition."""
@@ -149,7 +149,7 @@ class Browsing:
         return look
 
     def presses(self, action: str) -> tuple[int, str]:
-        return self.asks("/act", {"action": action, "pressed": json.loads(self.asks("/look")[1])["at"]})
+        return self.asks("/order", {"action": action, "pressed": json.loads(self.asks("/snapshot")[1])["at"]})
 
 
 @pytest.fixture
@@ -192,12 +192,12 @@ def linked(look: dict) -> bool:
 def test_an_operator_with_only_observe_sees_the_page_and_gives_no_order(team) -> None:
     page = Browsing(*team("anna", Right.OBSERVE))
     look = page.until(linked)
-    assert set(look["barred"]) == {"stop", "lift", "pause", "resume"}
-    for order, why in look["barred"].items():
+    assert set(look["denied_orders"]) == {"stop", "lift", "pause", "resume"}
+    for order, why in look["denied_orders"].items():
         assert "anna may observe, and this takes the right to" in why
         assert page.presses(order) == (403, why)
     look = page.until(linked)
-    assert (look["stands"], look["paused"]) == (False, [])
+    assert (look["is_stopped"], look["paused"]) == (False, [])
 
 
 @pytest.mark.few(0)
@@ -205,24 +205,24 @@ def test_an_operator_with_only_observe_sees_the_page_and_gives_no_order(team) ->
 def test_access_rules_of_a_mission_leave_the_stop_button(team) -> None:
     page = Browsing(*team("maria", *ALL_RIGHTS))
     look = page.until(linked)
-    assert set(look["barred"]) == {"lift", "resume"}
+    assert set(look["denied_orders"]) == {"lift", "resume"}
     told = "maria may not operate in this mission: mission.access.yaml:1 limits maria to: observe"
-    assert set(look["barred"].values()) == {told}
+    assert set(look["denied_orders"].values()) == {told}
     assert page.presses("stop")[0] == 200
-    page.until(lambda look: look["stands"])
+    page.until(lambda look: look["is_stopped"])
     assert page.presses("lift") == (403, told)
-    assert page.until(linked)["stands"]
+    assert page.until(linked)["is_stopped"]
 
 
 @pytest.mark.few(0)
 @pytest.mark.process
 def test_an_operator_without_a_rule_lifts_their_own_stop(team) -> None:
     page = Browsing(*team("otto", Right.OPERATE, Right.STOP, Right.OBSERVE))
-    assert page.until(linked)["barred"] == {}
+    assert page.until(linked)["denied_orders"] == {}
     assert page.presses("stop")[0] == 200
-    page.until(lambda look: look["stands"])
+    page.until(lambda look: look["is_stopped"])
     assert page.presses("lift")[0] == 200
-    page.until(lambda look: not look["stands"])
+    page.until(lambda look: not look["is_stopped"])
 
 
 @pytest.mark.few(0)
@@ -243,7 +243,7 @@ def test_without_the_right_stop_is_disabled_with_the_reason(team, lfield) -> Non
         # A request that bypasses the page's own button is refused by its server.
         press = """
             const [done] = arguments;
-            const answer = fetch("act", {method: "POST", body: '{"action": "stop"}'});
+            const answer = fetch("order", {method: "POST", body: '{"action": "stop"}'});
             answer.then(async (said) => done(said.status + " " + await said.text()));
         """
         browser.driver.set_script_timeout(PATIENCE)

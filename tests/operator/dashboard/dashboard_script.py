@@ -16,7 +16,7 @@ from lfield.wire.observer_messages import (
 )
 from lfield.wire.subscription_messages import EventBatch
 
-COPTER = Instruments(moves=True)
+COPTER = Instruments(has_safe_state=True)
 INCARNATION = 7
 
 

@@ -45,11 +45,13 @@ def test_track_points_are_sent_once_and_completely_to_a_new_browser():
         tracks.add([vehicle(north)])
     whole = tracks.since(0)
     assert (whole.is_whole, whole.newest) == (True, 3)
-    assert [point.place for point in whole.tracks[0].points] == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
+    assert [point.position for point in whole.tracks[0].points] == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
     assert tracks.since(3).tracks == []
-    tracks.add([vehicle(3.0), replace(vehicle(9.0), fresh=False), replace(vehicle(9.0), stated=True)])
+    tracks.add(
+        [vehicle(3.0), replace(vehicle(9.0), fresh=False), replace(vehicle(9.0), is_position_stated=True)]
+    )
     update = tracks.since(3)
-    assert (update.is_whole, [point.place for point in update.tracks[0].points]) == (False, [(3.0, 0.0)])
+    assert (update.is_whole, [point.position for point in update.tracks[0].points]) == (False, [(3.0, 0.0)])
     assert tracks.since(99).is_whole, "a number of another server"
 
 
@@ -59,7 +61,7 @@ def test_a_long_track_is_thinned():
         tracks.add([vehicle(float(north))])
     points = tracks.since(0).tracks[0].points
     assert MAX_POINTS / 4 < len(points) <= MAX_POINTS
-    assert points[-1].place[0] > 3 * MOST_KEPT - 10
+    assert points[-1].position[0] > 3 * MOST_KEPT - 10
 
 
 def test_drawings_of_a_program_are_the_same_from_a_bundle(tmp_path):

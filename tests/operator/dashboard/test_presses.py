@@ -48,7 +48,7 @@ def test_a_stop_without_any_answer_names_each_host_until_it_has_stopped() -> Non
     desk = Desk()
     desk.order("stop", alpha=NOBODY, beta=NOBODY)
     assert desk.seen.stop.unreached == {"alpha": str(NOBODY), "beta": str(NOBODY)}
-    assert not desk.seen.stop.stands
+    assert not desk.seen.stop.is_active
     desk.now += 3600.0
     assert desk.last.age == 3600.0
     desk.tell("alpha")
@@ -73,10 +73,10 @@ def test_hosts_without_an_answer_are_listed_as_asked() -> None:
     desk = Desk()
     desk.tell("beta")
     number = desk.order("stop", alpha=NOBODY)
-    assert (desk.last.asked, set(desk.seen.stop.unreached)) == (("beta",), {"alpha"})
+    assert (desk.last.pending, set(desk.seen.stop.unreached)) == (("beta",), {"alpha"})
     desk.picture.on_answer(number, "beta", EmergencyStopResult({"two.fc": ""}))
     desk.tell("beta", EmergencyStopChanged("anna", "x"))
-    assert (desk.last.asked, desk.last.done) == ((), ("beta",))
+    assert (desk.last.pending, desk.last.done) == ((), ("beta",))
 
 
 def test_a_stop_is_incomplete_until_each_host_has_answered() -> None:
@@ -90,12 +90,12 @@ def test_a_stop_is_incomplete_until_each_host_has_answered() -> None:
     )
     desk.picture.on_answer(number, "alpha", EmergencyStopResult({"one.fc": ""}))
     # beta hangs: still linked, then unlinked, and at last without an open request.
-    assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
+    assert (desk.seen.stop.pending, desk.seen.stop.is_complete) == (("beta",), False)
     desk.picture.on_unlinked("beta", "nothing was heard of it for 6 s")
-    assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
+    assert (desk.seen.stop.pending, desk.seen.stop.is_complete) == (("beta",), False)
     desk.picture.on_answer(number, "beta", NOBODY)
-    assert (desk.seen.stop.asked, set(desk.seen.stop.unreached)) == ((), {"beta"})
-    assert not desk.seen.stop.complete
+    assert (desk.seen.stop.pending, set(desk.seen.stop.unreached)) == ((), {"beta"})
+    assert not desk.seen.stop.is_complete
 
 
 def test_stop_events_without_an_answer_do_not_count_as_an_answer() -> None:
@@ -109,14 +109,14 @@ def test_stop_events_without_an_answer_do_not_count_as_an_answer() -> None:
             SafeStateConfirmed(device, "land", "x"),
         )
     desk.picture.on_answer(number, "alpha", EmergencyStopResult({"one.fc": ""}))
-    assert (desk.last.asked, desk.seen.stop.complete) == (("beta",), False)
+    assert (desk.last.pending, desk.seen.stop.is_complete) == (("beta",), False)
     desk.picture.on_answer(
         number, "beta", EmergencyStopResult({"two.fc": "", "two.winch": "it does not answer"})
     )
     assert desk.seen.stop.unconfirmed == {"two.winch": "it does not answer"}
-    assert not desk.seen.stop.complete
+    assert not desk.seen.stop.is_complete
     desk.tell("beta", DeviceLatched("two.winch", "hold", "x"), SafeStateConfirmed("two.winch", "hold", "x"))
-    assert desk.seen.stop.complete
+    assert desk.seen.stop.is_complete
 
 
 def test_a_host_with_an_unknown_address_counts_as_unreached() -> None:
@@ -130,7 +130,7 @@ def test_an_answer_to_a_replaced_order_changes_nothing() -> None:
     old = desk.order("stop")
     desk.order("lift", alpha=NOBODY)
     desk.picture.on_answer(old, "beta", NOBODY)
-    assert [(order.order, order.asked) for order in desk.seen.orders] == [("lift", ("beta",))]
+    assert [(order.order, order.pending) for order in desk.seen.orders] == [("lift", ("beta",))]
 
 
 def test_a_lift_ends_the_stop_and_keeps_the_last_state_of_a_dead_host() -> None:
@@ -147,8 +147,8 @@ def test_a_lift_ends_the_stop_and_keeps_the_last_state_of_a_dead_host() -> None:
     desk.order("lift", alpha=EmergencyStopResult({}), beta=NOBODY)
     desk.tell("alpha", EmergencyStopChanged("anna", "", True))
     stop = desk.seen.stop
-    assert (stop.stands, stop.confirmed, stop.unreached) == (False, (), {})
-    assert stop.before == {"beta": ("two.fc",)}
+    assert (stop.is_active, stop.confirmed, stop.unreached) == (False, (), {})
+    assert stop.stopped_before == {"beta": ("two.fc",)}
     assert (desk.last.done, desk.last.unreached) == (("alpha",), {"beta": str(NOBODY)})
 
 
@@ -159,7 +159,7 @@ def test_unconfirmed_devices_of_a_dead_host_are_shown_until_the_lift() -> None:
     desk.picture.on_unlinked("beta", "the connection was lost")
     stop = desk.seen.stop
     assert stop.unconfirmed["two.fc"] == "its safe state is not confirmed yet"
-    assert stop.before == {"beta": ()}
+    assert stop.stopped_before == {"beta": ()}
     desk.tell("alpha", EmergencyStopChanged("anna", "", True))
     assert desk.seen.stop.unconfirmed == {}
 
@@ -170,6 +170,6 @@ def test_a_stop_and_a_pause_are_shown_at_once() -> None:
     desk.order("stop", alpha=NOBODY, beta=NOBODY)
     assert [order.order for order in desk.seen.orders] == ["pause", "stop"]
     assert desk.seen.orders[0].unconfirmed == {"one.fc": "its port is gone"}
-    assert desk.seen.orders[0].troubles == {"alpha": "no disk"}
+    assert desk.seen.orders[0].warnings == {"alpha": "no disk"}
     desk.tell("alpha", PauseChanged("bob", True))
     assert [order.order for order in desk.seen.orders] == ["stop"]

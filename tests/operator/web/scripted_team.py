@@ -82,7 +82,7 @@ class Script:
         self.frozen = {}
         self.lines: list[ShownLogLine] = []
         self.revision = 0
-        self.ways = TeamTracks()
+        self.track_log = TeamTracks()
 
     # --- commands -------------------------------------------------------------------------------
 
@@ -178,7 +178,7 @@ class Script:
             )
         return QueryAnswer(text, mistakes=f'error: nobody knows what "{text}" is')
 
-    # --- Sight ----------------------------------------------------------------------------------
+    # --- State ----------------------------------------------------------------------------------
 
     def host_of(self, number: int) -> str:
         return ("alpha", "bravo")[number] if self.count <= 2 else f"robot{number + 1}"
@@ -239,7 +239,7 @@ class Script:
         seconds = self.now() - self.began
         names = [self.host_of(number) for number in range(self.count)]
         vehicles = {self.agent_of(number): self.vehicle(number) for number in range(self.count)}
-        self.ways.add(vehicles.values())
+        self.track_log.add(vehicles.values())
         live = [name for name in names if name not in self.dead]
         hosts = {
             name: HostState(
@@ -249,10 +249,10 @@ class Script:
                 0.1 if name in live else self.now() - self.frozen[name],
                 seconds,
                 paused=self.paused,
-                held=name in self.voting,
+                held_by_vote=name in self.voting,
                 stopped="stop" if name in self.held else "",
                 waits_for=tuple(self.refused),
-                reads=tuple(self.reading.get(name, [])),
+                awaiting_input=tuple(self.reading.get(name, [])),
                 refused=self.refused,
                 bundle="5cde09b1f2a37c44",
                 links={
@@ -324,7 +324,7 @@ class Script:
             device for vehicle in vehicles.values() for device in vehicle.devices if device.host in self.held
         ]
         seen = [device for device in devices if device.fresh]
-        asked = next((order.asked for order in orders if order.order == "stop"), ())
+        pending = next((order.pending for order in orders if order.order == "stop"), ())
         return StopState(
             self.reason,
             "anna",
@@ -332,13 +332,13 @@ class Script:
             tuple(name for name, host in hosts.items() if host.stopped and host.linked),
             tuple(device.name for device in seen if device.confirmed),
             {device.name: "it has not answered" for device in seen if not device.confirmed},
-            {name: host.trouble for name, host in hosts.items() if not host.linked and not host.stopped},
-            asked,
+            {name: host.problem for name, host in hosts.items() if not host.linked and not host.stopped},
+            pending,
             {device.host: (device.name,) for device in devices if not device.fresh},
         )
 
     def tracks(self, after: int) -> TrackUpdate:
-        return self.ways.since(after)
+        return self.track_log.since(after)
 
     def curves(self) -> tuple[Curve, ...]:
         """The curves of the last five minutes, as the product has them."""
@@ -352,7 +352,7 @@ class Script:
                     vehicle,
                     height=None if vehicle.agent in self.low else 3 + number % 7 + math.sin(seconds / 9),
                     battery=0.6 - 0.0005 * seconds - 0.01 * number,
-                    link=0.1 + 0.1 * abs(math.sin(seconds * (number + 1))),
+                    telemetry_age=0.1 + 0.1 * abs(math.sin(seconds * (number + 1))),
                 )
             curves.add(now - ago, vehicles, {"pilot": 30 + 4 * math.sin(seconds / 20)})
         return curves.snapshot(now)

@@ -24,7 +24,7 @@ def test_offers_have_units_and_refusals_their_reasons():
     found = PrimitiveAnswer(primitive(), (copter, both), 2, (refused,), ("only the best",))
     answer = QueryAnswer("Lift", (found,), {"charlie": "no program listens"}, units={"payload": "kg"})
     told = json.loads(query_json(answer))
-    (lift,) = told["found"]
+    (lift,) = told["answers"]
     first, second = lift["offers"]
     assert first["facts"] == ["payload 0.5 kg", "tools winch"]
     assert (first["how"], first["score"]) == ("direct", 0.8)
@@ -40,8 +40,12 @@ def primitive() -> Primitive:
 
 
 def test_an_order_result_reports_full_success():
-    assert json.loads(order_json(OrderOutcome("stop", ("lead.fc",))))["well"] is True
+    assert json.loads(order_json(OrderOutcome("stop", ("lead.fc",))))["is_complete"] is True
     told = json.loads(
         order_json(OrderOutcome("stop", ("lead.fc",), {"wing.fc": "no answer"}, {"charlie": "gone"}))
     )
-    assert (told["well"], told["confirmed"], told["unreached"]) == (False, ["lead.fc"], {"charlie": "gone"})
+    assert (told["is_complete"], told["confirmed"], told["unreached"]) == (
+        False,
+        ["lead.fc"],
+        {"charlie": "gone"},
+    )

@@ -141,9 +141,9 @@ def entered(gate: AuthMiddleware, door: PageSessions) -> str:
 def test_a_link_is_exchanged_for_a_cookie(gate, door, inside, known):
     cookie = entered(gate, door)
     assert known == []
-    start, _ = knock(gate, "/look", cookie=cookie)
+    start, _ = knock(gate, "/snapshot", cookie=cookie)
     assert start["status"] == 200
-    assert inside.asked == ["/look"]
+    assert inside.asked == ["/snapshot"]
     assert known == [("127.0.0.1", 4711)]
 
 
@@ -170,10 +170,10 @@ def test_a_link_is_exchanged_for_a_cookie(gate, door, inside, known):
 def test_cookies_of_other_programs_do_not_hide_the_session(gate, door, inside, foreign, order):
     """A browser sends the cookies of every program on 127.0.0.1, independently of its port."""
     cookies = order.format(foreign=foreign, own=entered(gate, door))
-    start, _ = knock(gate, "/act", "POST", cookie=cookies, origin=OURS)
+    start, _ = knock(gate, "/order", "POST", cookie=cookies, origin=OURS)
     assert start["status"] == 200
     knock(gate, "/_nicegui_ws/", kind="websocket", cookie=cookies, origin=OURS)
-    assert inside.asked == ["/act", "/_nicegui_ws/"]
+    assert inside.asked == ["/order", "/_nicegui_ws/"]
 
 
 def test_cookies_may_come_in_several_headers(door, gate):
@@ -209,11 +209,11 @@ def test_a_named_tile_server_is_allowed_for_images_only(gate, door):
     ("path", "method", "headers"),
     [
         ("/", "GET", {}),
-        ("/look", "GET", {"cookie": "lfield-8000=guessed"}),
-        ("/look", "GET", {"cookie": '=;;"\\'}),
+        ("/snapshot", "GET", {"cookie": "lfield-8000=guessed"}),
+        ("/snapshot", "GET", {"cookie": '=;;"\\'}),
         ("/?token=guessed", "GET", {}),
         ("/_nicegui/3/static/vue.js", "GET", {}),
-        ("/act", "POST", {"origin": OURS}),
+        ("/order", "POST", {"origin": OURS}),
     ],
 )
 def test_a_request_without_a_session_gets_one_sentence_and_status_403(

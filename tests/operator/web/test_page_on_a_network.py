@@ -88,26 +88,26 @@ def test_the_link_opens_the_page_for_a_browser_with_the_root(page, client: Clien
     assert name == f"__Host-lfield-{client.port}"
     assert {"Secure", "HttpOnly", "SameSite=Strict", "Path=/"} < set(rest.split("; "))
     session = cookie.partition(";")[0]
-    assert client.asks("/look", Cookie=session)[0] == 200
+    assert client.asks("/snapshot", Cookie=session)[0] == 200
     # The certificate's other name is valid for the page too.
-    assert client.asks("/look", Cookie=session, Host=f"{NAME}:{client.port}")[0] == 200
+    assert client.asks("/snapshot", Cookie=session, Host=f"{NAME}:{client.port}")[0] == 200
     origin = f"https://{ADDRESS}:{client.port}"
-    assert client.asks("/act", "POST", '{"action":"stop"}', Cookie=session, Origin=origin)[0] == 200
+    assert client.asks("/order", "POST", '{"action":"stop"}', Cookie=session, Origin=origin)[0] == 200
     assert page.line() != page.link
     assert page.line() == "pressed stop"
     for agent, text in (("", "x"), (7, "x"), ("lead", "x\ny\n"), ("lead", "x" * (MAX_INPUT + 1))):
         line = json.dumps({"host": "alpha", "agent": agent, "text": text})
-        assert client.asks("/type", "POST", line, Cookie=session, Origin=origin)[0] == 400
+        assert client.asks("/input", "POST", line, Cookie=session, Origin=origin)[0] == 400
 
     # A used link, no cookie, a foreign page, a foreign name, http as the page's own origin.
     assert client.asks(client.path)[:2] == (403, OLD_LINK)
-    for path in ("/", "/look", "/_nicegui/"):
+    for path in ("/", "/snapshot", "/_nicegui/"):
         assert client.asks(path)[:2] == (403, NO_SESSION)
     for other in ("", "https://evil.example", f"http://{ADDRESS}:{client.port}"):
         headers = {"Cookie": session, **({"Origin": other} if other else {})}
-        assert client.asks("/act", "POST", '{"action":"lift"}', **headers)[:2] == (403, FOREIGN_PAGE)
+        assert client.asks("/order", "POST", '{"action":"lift"}', **headers)[:2] == (403, FOREIGN_PAGE)
     for host in ("evil.example", f"localhost:{client.port}", f"127.0.0.1:{client.port}", ADDRESS):
-        assert client.asks("/look", Cookie=session, Host=host)[:2] == (403, FOREIGN_ADDRESS)
+        assert client.asks("/snapshot", Cookie=session, Host=host)[:2] == (403, FOREIGN_ADDRESS)
 
 
 @pytest.mark.few(0)
@@ -119,9 +119,9 @@ def test_a_denied_order_is_refused_without_the_page_too(page, client: Client) ->
     cookie = f'a[]=b; x={{"a":1}}; theme=dark mode; alone; {own}; ümlaut="'
     page.line()
     origin = f"https://{ADDRESS}:{client.port}"
-    said = client.asks("/act", "POST", '{"action":"stop"}', Cookie=cookie, Origin=origin)
+    said = client.asks("/order", "POST", '{"action":"stop"}', Cookie=cookie, Origin=origin)
     assert said[:2] == (403, "your keys let you observe, not stop")
-    assert client.asks("/act", "POST", '{"action":"pause"}', Cookie=cookie, Origin=origin)[0] == 200
+    assert client.asks("/order", "POST", '{"action":"pause"}', Cookie=cookie, Origin=origin)[0] == 200
     assert page.line() == "pressed pause"
 
 

@@ -36,13 +36,13 @@ class Client:
         return made
 
     def presses(self, action: str, pressed: float | None) -> tuple[int, str]:
-        with closing(self.asks("POST", "/act", action=action, pressed=pressed)) as made:
+        with closing(self.asks("POST", "/order", action=action, pressed=pressed)) as made:
             answer = made.getresponse()
             return answer.status, answer.read().decode()
 
     @property
     def look(self) -> dict[str, object]:
-        with closing(self.asks("GET", "/look")) as made:
+        with closing(self.asks("GET", "/snapshot")) as made:
             return json.loads(made.getresponse().read())
 
 
@@ -65,7 +65,7 @@ def test_a_press_is_dated_by_the_clock_of_the_snapshots(page) -> None:
     assert page.line() == "pressed pause"
     assert client.presses("stop", at - 31.0)[0] == 200
     assert page.line() == "pressed stop"
-    while not (reason := client.look["look"]["stop"]["reason"]):
+    while not (reason := client.look["team"]["stop"]["reason"]):
         pass
     assert float(re.search(r"it arrived ([\d.]+)", reason)[1]) >= 31.0
     assert client.presses("lift", client.look["at"])[0] == 200
@@ -78,7 +78,7 @@ def test_a_stop_of_a_browser_that_gave_up_is_executed_and_a_lift_is_not(page) ->
     os.kill(page.process.pid, signal.SIGSTOP)
     try:
         for action in ("lift", "stop", "resume"):
-            client.asks("POST", "/act", action=action, pressed=at - MAX_DELAY).close()
+            client.asks("POST", "/order", action=action, pressed=at - MAX_DELAY).close()
         # All requests have arrived: this computer is the other end.
         time.sleep(0.1)
     finally:

@@ -40,7 +40,7 @@ class ReplayPage:
             return answer.read().decode()
 
     def look(self) -> dict:
-        with self.opener.open(f"{self.address}/look") as answer:
+        with self.opener.open(f"{self.address}/snapshot") as answer:
             return json.load(answer)
 
     def post(self, path: str, body: object) -> int:
@@ -90,13 +90,13 @@ def test_a_recording_is_moved_and_no_order_can_be_sent(records, page_of):
     assert page.post("replay", {"go": "hop"}) == 403
     assert '"recorded":true' in page.open().replace(" ", "")
     found = page.moved({"go": "time", "seconds": 2.5})
-    (one, _) = found["look"]["vehicles"]
-    assert (one["agent"], one["place"][0]) == ("one", 4.0)
-    assert found["look"]["barred"] == {}
+    (one, _) = found["team"]["vehicles"]
+    assert (one["agent"], one["position"][0]) == ("one", 4.0)
+    assert found["team"]["denied_orders"] == {}
     program = page.moved({"go": "hop"})["replay"]["coordinators"][0]
     assert (program["agent"], program["host"]) == ("boss", "bravo")
     assert page.post("replay", {"go": "stop"}) == 400
-    assert page.post("act", {"action": "stop"}) in (404, 405)
+    assert page.post("order", {"action": "stop"}) in (404, 405)
     assert page.post("query", {"text": "Lift"}) in (404, 405)
     assert page.close() == 130
 

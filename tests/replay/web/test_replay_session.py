@@ -55,12 +55,12 @@ def shown(recording: TeamRecording) -> Shown:
 def test_the_slider_shows_poses_and_tracks_of_the_guards(shown):
     assert shown.go("time", seconds=2.5)["problems"] == []
     one = shown.state.vehicles["one"]
-    assert (one.place.north, one.fresh, one.latched) == (4.0, True, False)
+    assert (one.position.north, one.fresh, one.latched) == (4.0, True, False)
     (track,) = shown.position["tracks"]
     assert track["agent"] == "one"
     assert [place[0] for place, _ in track["points"]] == [0.0, 4.0]
     shown.go("time", seconds=1.5)
-    assert shown.state.vehicles["one"].place.north == 0.0
+    assert shown.state.vehicles["one"].position.north == 0.0
 
 
 def test_a_latch_and_a_note_of_a_guard_are_shown(shown):
@@ -86,7 +86,7 @@ def test_hops_statements_and_variables_are_shown_in_both_directions(shown):
     position = shown.go("hop")
     at = position["seconds"]
     boss = shown.state.coordinators["boss"]
-    assert (boss.host, [(hop.of, hop.to) for hop in boss.trail]) == ("bravo", [("alpha", "bravo")])
+    assert (boss.host, [(hop.source, hop.target) for hop in boss.trail]) == ("bravo", [("alpha", "bravo")])
     (program,) = position["coordinators"]
     assert (program["agent"], program["host"]) == ("boss", "bravo")
     frame = program["frames"][0]
@@ -98,18 +98,18 @@ def test_hops_statements_and_variables_are_shown_in_both_directions(shown):
     assert later["coordinators"][0]["frames"][0]["method"] == "Post.climb"
     earlier = shown.go("statement", agent="boss", backward=True)
     assert earlier["seconds"] <= at
-    assert shown.go("hop", backward=True)["trouble"] != ""
+    assert shown.go("hop", backward=True)["problem"] != ""
 
 
 @pytest.mark.few(0)
 def test_events_are_reached_in_order_in_both_directions(shown):
     times = []
-    while not (position := shown.go("event"))["trouble"]:
+    while not (position := shown.go("event"))["problem"]:
         times.append(position["seconds"])
     assert times == sorted(times)
     assert len(times) > 5
     back = []
-    while not (position := shown.go("event", backward=True))["trouble"]:
+    while not (position := shown.go("event", backward=True))["problem"]:
         back.append(position["seconds"])
     assert back[::-1] == times[:-1]
 
@@ -131,7 +131,7 @@ def test_only_the_newest_command_is_executed(shown):
     shown.session.request({"go": "time", "seconds": 3.0})
     shown.session.advance()
     position = shown.position
-    assert position["given"] == position["executed"] == 2
+    assert position["requested"] == position["executed"] == 2
     assert position["seconds"] == pytest.approx(3.0, abs=0.2)
 
 
@@ -143,7 +143,7 @@ def test_a_newer_command_cancels_a_search(shown):
     with pytest.raises(Superseded):
         player.execute(command, 0.0)
     assert session._debugger.place == place
-    assert shown.go("hop")["trouble"] == ""
+    assert shown.go("hop")["problem"] == ""
 
 
 @pytest.mark.parametrize(

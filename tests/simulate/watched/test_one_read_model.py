@@ -38,11 +38,11 @@ def asked(fleet: Fleet) -> HostState:
 def comparable_state(host: HostState) -> dict[str, object]:
     """The parts of a state that events change."""
     held = {name: (each.latched, each.confirmed, each.moving) for name, each in host.devices.items()}
-    known = "linked", "stopped", "paused", "waits_for", "start_held", "refused", "bundle", "ending"
+    known = "linked", "stopped", "paused", "waits_for", "start_held", "refused", "bundle", "end_reason"
     return {
         **{name: getattr(host, name) for name in known},
         "links": sorted(host.links),
-        "away": sorted(host.away),
+        "away": sorted(host.unreachable_for),
         "devices": held,
     }
 

@@ -2,7 +2,7 @@
 // plots are closed.
 import { echarts } from "nicegui-echart";
 import { colourOf } from "./colours.js";
-import { rest, samples } from "./server.js";
+import { fetchCurves, sleep } from "./server.js";
 
 // Milliseconds between two requests.
 const INTERVAL = 4000;
@@ -15,10 +15,10 @@ const KINDS = {
 };
 
 function options(kind, curves) {
-  const ink = getComputedStyle(document.documentElement).getPropertyValue("--faint");
+  const textColour = getComputedStyle(document.documentElement).getPropertyValue("--muted");
   const line = getComputedStyle(document.documentElement).getPropertyValue("--line");
   const minutes = (value) => (value === 0 ? "now" : `${-value / 60} min`);
-  const axis = { axisLabel: { color: ink, fontSize: 11 }, splitLine: { lineStyle: { color: line } } };
+  const axis = { axisLabel: { color: textColour, fontSize: 11 }, splitLine: { lineStyle: { color: line } } };
   return {
     animation: false,
     grid: { left: 44, right: 14, top: 12, bottom: 24 },
@@ -27,10 +27,10 @@ function options(kind, curves) {
     yAxis: { type: "value", splitNumber: 4, axisLine: { show: false, onZero: false }, axisTick: { show: false }, min: kind.min, max: kind.max, scale: kind.min === undefined, ...axis },
     series: curves.map((curve) => ({
       type: "line",
-      name: curve.of,
+      name: curve.agent,
       showSymbol: curve.points.length === 1,
-      lineStyle: { width: 1.5, color: colourOf(curve.of) },
-      itemStyle: { color: colourOf(curve.of) },
+      lineStyle: { width: 1.5, color: colourOf(curve.agent) },
+      itemStyle: { color: colourOf(curve.agent) },
       // Points have ages; the time axis goes to the right.
       data: curve.points.map(([age, value]) => [-age, value * kind.scale]),
     })),
@@ -39,46 +39,46 @@ function options(kind, curves) {
 
 export default {
   template: `
-    <details class="panel plots" data-testid="plots" @toggle="toggled">
+    <details class="panel plots" data-testid="plots" @toggle="onToggle">
       <summary><h2>Plots</h2></summary>
       <div class="charts">
-        <figure v-for="(kind, what) in kinds" :key="what"><figcaption>{{ kind.title }}</figcaption><div :ref="what" class="chart" :data-testid="'plot-' + what"></div></figure>
+        <figure v-for="(kind, quantity) in kinds" :key="quantity"><figcaption>{{ kind.title }}</figcaption><div :ref="quantity" class="chart" :data-testid="'plot-' + quantity"></div></figure>
       </div>
-      <p v-for="(names, of) in legends" :key="of" class="key" :data-testid="'key-' + of">{{ called[of] }}<span v-for="name in names" :key="name"><i :style="{background: colourOf(name)}"></i>{{ name }}</span></p>
-      <p v-if="trouble" class="bad">{{ trouble }}</p>
+      <p v-for="(names, group) in legends" :key="group" class="key" :data-testid="'key-' + group">{{ titles[group] }}<span v-for="name in names" :key="name"><i :style="{background: colourOf(name)}"></i>{{ name }}</span></p>
+      <p v-if="problem" class="bad">{{ problem }}</p>
     </details>`,
-  data: () => ({ kinds: KINDS, called: { vehicles: "Vehicles: ", hops: "Hops of: " }, legends: {}, trouble: "" }),
+  data: () => ({ kinds: KINDS, titles: { vehicles: "Vehicles: ", hops: "Hops of: " }, legends: {}, problem: "" }),
   methods: {
     colourOf,
-    toggled(event) {
+    onToggle(event) {
       this.open = event.target.open;
-      if (this.open && !this.busy) this.forever();
+      if (this.open && !this.busy) this.drawForever();
     },
-    async forever() {
+    async drawForever() {
       this.busy = true;
       while (this.open) {
         try {
-          this.draw(await samples());
-          this.trouble = "";
+          this.draw(await fetchCurves());
+          this.problem = "";
         } catch (error) {
-          this.trouble = error.message;
+          this.problem = error.message;
         }
-        await rest(INTERVAL);
+        await sleep(INTERVAL);
       }
       this.busy = false;
     },
     draw(curves) {
-      const names = (curves) => [...new Set(curves.map((curve) => curve.of))];
+      const names = (curves) => [...new Set(curves.map((curve) => curve.agent))];
       this.legends = {
-        vehicles: names(curves.filter((curve) => curve.what !== "hops")),
-        hops: names(curves.filter((curve) => curve.what === "hops")),
+        vehicles: names(curves.filter((curve) => curve.quantity !== "hops")),
+        hops: names(curves.filter((curve) => curve.quantity === "hops")),
       };
       for (const [quantity, kind] of Object.entries(KINDS)) {
         const chart = (this.charts[quantity] ??= echarts.init(this.$refs[quantity][0]));
-        chart.setOption(options(kind, curves.filter((curve) => curve.what === quantity)), { notMerge: true });
+        chart.setOption(options(kind, curves.filter((curve) => curve.quantity === quantity)), { notMerge: true });
       }
     },
-    resized() {
+    onResize() {
       for (const chart of Object.values(this.charts)) chart.resize();
     },
   },
@@ -87,11 +87,11 @@ export default {
     this.open = this.busy = false;
   },
   mounted() {
-    window.addEventListener("resize", this.resized);
+    window.addEventListener("resize", this.onResize);
   },
   unmounted() {
     this.open = false;
-    window.removeEventListener("resize", this.resized);
+    window.removeEventListener("resize", this.onResize);
     for (const chart of Object.values(this.charts)) chart.dispose();
   },
 };

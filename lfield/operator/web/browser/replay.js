@@ -1,9 +1,9 @@
 // Recordings on the page (`lfield watch --replay`): the time slider with its buttons, and the programs at that time.
-import { move } from "./server.js";
-import * as words from "./words.js";
+import { sendReplayCommand } from "./server.js";
+import * as format from "./text_format.js";
 
 // The slider follows the server again this time (ms) after the last change.
-const RELEASED = 400;
+const FOLLOW_AFTER = 400;
 
 const STEPS = ["hop", "event", "statement"];
 
@@ -20,32 +20,32 @@ export const Replay = {
     <div class="moves">
       <button v-for="step in back" :key="step" type="button" :data-testid="'replay-back-' + step" :title="'One ' + step + ' back'" @click="send({ go: step, backward: true, agent })">‹ {{ step }}</button>
       <button type="button" class="play" data-testid="replay-play" @click="send(replay.speed ? { go: 'pause' } : { go: 'play', speed })">{{ replay.speed ? "Pause" : "Play" }}</button>
-      <button v-for="step in forth" :key="step" type="button" :data-testid="'replay-' + step" :title="'One ' + step + ' forward'" @click="send({ go: step, agent })">{{ step }} ›</button>
+      <button v-for="step in forward" :key="step" type="button" :data-testid="'replay-' + step" :title="'One ' + step + ' forward'" @click="send({ go: step, agent })">{{ step }} ›</button>
       <label>Speed <select v-model.number="speed" data-testid="replay-speed" @change="replay.speed && send({ go: 'play', speed })"><option v-for="each in [0.1, 0.5, 1, 2, 5, 20, 100]" :key="each" :value="each">{{ each }}</option></select></label>
       <label>Statements of <select v-model="agent" data-testid="replay-agent"><option value="">all agents</option><option v-for="c in replay.coordinators" :key="c.agent">{{ c.agent }}</option></select></label>
     </div>
-    <input type="range" min="0" :max="replay.duration" step="0.001" :value="wished ?? replay.seconds" data-testid="replay-time" aria-label="Time since the start of the recording" @input="slid($event.target.valueAsNumber)"/>
-    <p><span data-testid="replay-clock">{{ elapsed(wished ?? replay.seconds) }} of {{ elapsed(replay.duration) }}</span> · {{ clock(replay.at) }} · {{ replay.host }}<span v-if="busy" data-testid="replay-busy"> · replaying</span><span v-if="replay.progress < 1" data-testid="replay-progress"> · events read: {{ share(replay.progress) }}</span></p>
-    <p v-if="trouble || replay.trouble" class="bad" data-testid="replay-trouble" role="status">{{ trouble || replay.trouble }}</p>
+    <input type="range" min="0" :max="replay.duration" step="0.001" :value="targetTime ?? replay.seconds" data-testid="replay-time" aria-label="Time since the start of the recording" @input="onSlide($event.target.valueAsNumber)"/>
+    <p><span data-testid="replay-clock">{{ elapsed(targetTime ?? replay.seconds) }} of {{ elapsed(replay.duration) }}</span> · {{ clock(replay.at) }} · {{ replay.host }}<span v-if="busy" data-testid="replay-busy"> · replaying</span><span v-if="replay.progress < 1" data-testid="replay-progress"> · events read: {{ percent(replay.progress) }}</span></p>
+    <p v-if="problem || replay.problem" class="bad" data-testid="replay-trouble" role="status">{{ problem || replay.problem }}</p>
     <p v-if="replay.missing.length" class="why" data-testid="replay-missing">No recording of {{ replay.missing.join(", ") }}</p>
     <p v-for="problem in replay.problems" :key="problem" class="why" data-testid="replay-problem">{{ problem }}</p>
   </section>`,
-  data: () => ({ wished: null, speed: 1, agent: "", trouble: "", back: STEPS, forth: [...STEPS].reverse() }),
+  data: () => ({ targetTime: null, speed: 1, agent: "", problem: "", back: STEPS, forward: [...STEPS].reverse() }),
   computed: {
     busy() {
-      return this.replay.given !== this.replay.executed;
+      return this.replay.requested !== this.replay.executed;
     },
   },
   watch: {
     replay() {
-      if (!this.busy && !this.sending && performance.now() - this.slidAt > RELEASED) this.wished = null;
+      if (!this.busy && !this.sending && performance.now() - this.lastSlideAt > FOLLOW_AFTER) this.targetTime = null;
     },
   },
   methods: {
-    elapsed, clock: words.clock, share: words.share,
-    slid(seconds) {
-      this.wished = seconds;
-      this.slidAt = performance.now();
+    elapsed, clock: format.clock, percent: format.percent,
+    onSlide(seconds) {
+      this.targetTime = seconds;
+      this.lastSlideAt = performance.now();
       this.send({ go: "time", seconds });
     },
     // One request at a time; of several that wait the newest is sent.
@@ -57,10 +57,10 @@ export const Replay = {
         const sent = this.next;
         this.next = null;
         try {
-          await move(sent);
-          this.trouble = "";
+          await sendReplayCommand(sent);
+          this.problem = "";
         } catch (error) {
-          this.trouble = error.message;
+          this.problem = error.message;
         }
       }
       this.sending = false;
@@ -69,7 +69,7 @@ export const Replay = {
   created() {
     this.next = null;
     this.sending = false;
-    this.slidAt = 0;
+    this.lastSlideAt = 0;
   },
 };
 

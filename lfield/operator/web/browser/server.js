@@ -2,13 +2,13 @@
 
 // Milliseconds between two snapshots, the same in a hidden page, and the time-out of a request.
 const INTERVAL = 200;
-const HIDDEN = 2000;
-const PATIENCE = 3000;
+const HIDDEN_INTERVAL = 2000;
+const TIMEOUT = 3000;
 // Time-out of an order: devices need time to confirm it.
-const LONG_PATIENCE = 20000;
+const ORDER_TIMEOUT = 20000;
 
-async function answerOf(path, options, patience) {
-  const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(patience), ...options });
+async function request(path, options, timeout) {
+  const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(timeout), ...options });
   if (!answer.ok) {
     const error = new Error((await answer.text()) || `the server answers ${answer.status}`);
     // The server has understood the request and refused it.
@@ -20,64 +20,65 @@ async function answerOf(path, options, patience) {
 
 function post(path, body) {
   const headers = { "Content-Type": "application/json" };
-  return answerOf(path, { method: "POST", headers, body: JSON.stringify(body) }, LONG_PATIENCE);
+  return request(path, { method: "POST", headers, body: JSON.stringify(body) }, ORDER_TIMEOUT);
 }
 
 // Sends an order and returns its result; nothing is stored and sent later. `pressed` is the time of the press by the
 // server's clock. The server refuses a late order, except one that makes the team safer (button_orders.py).
-export const act = (action, pressed) => post("act", { action, pressed });
+export const sendOrder = (action, pressed) => post("order", { action, pressed });
 
 // A line of input for an agent of a host that waits for one.
-export const enter = (host, agent, text, pressed) => post("type", { host, agent, text, pressed });
+export const sendInput = (host, agent, text, pressed) => post("input", { host, agent, text, pressed });
 
-export const ask = (text) => post("query", { text });
+export const sendQuery = (text) => post("query", { text });
 
 // Moves a replay; of several requests the server executes the newest.
-export const move = (command) => post("replay", command);
+export const sendReplayCommand = (command) => post("replay", command);
 
 // Plans, areas and fences of files, which do not change.
-export const drawings = () => answerOf("drawings", {}, PATIENCE);
+export const fetchDrawings = () => request("drawings", {}, TIMEOUT);
 
-export const samples = () => answerOf("plots", {}, PATIENCE);
+export const fetchCurves = () => request("plots", {}, TIMEOUT);
 
 // Waits for some milliseconds, longer while the page is hidden; ends when the page becomes visible.
-export function rest(milliseconds) {
+export function sleep(milliseconds) {
   return new Promise((resolve) => {
-    const timer = setTimeout(over, document.hidden ? Math.max(milliseconds, HIDDEN) : milliseconds);
-    document.addEventListener("visibilitychange", over);
-    function over() {
+    const timer = setTimeout(finish, document.hidden ? Math.max(milliseconds, HIDDEN_INTERVAL) : milliseconds);
+    document.addEventListener("visibilitychange", finish);
+    function finish() {
       clearTimeout(timer);
-      document.removeEventListener("visibilitychange", over);
+      document.removeEventListener("visibilitychange", finish);
       resolve();
     }
   });
 }
 
-// Polls snapshots: calls `take` with each, or `fail` with an error; returns a function that ends the polling. The next
-// one is requested after drawing, so nothing queues up for an inactive page, and one snapshot brings it up to date.
-export function looks(take, fail) {
+// Polls snapshots: calls `onSnapshot` with each, or `onError` with an error; returns a function that ends the polling.
+// The next one is requested after drawing, so nothing queues up for an inactive page, and one snapshot brings it up to
+// date.
+export function pollSnapshots(onSnapshot, onError) {
   let ended = false;
   let line = 0;
   let point = 0;
   let epoch = 0;
 
-  async function look() {
-    const answer = await answerOf(`look?after=${line}&point=${point}&epoch=${epoch}`, {}, PATIENCE);
+  async function poll() {
+    const answer = await request(`snapshot?after=${line}&point=${point}&epoch=${epoch}`, {}, TIMEOUT);
     line = answer.log.at(-1)?.serial ?? (answer.epoch === epoch ? line : 0);
     epoch = answer.epoch;
     point = answer.tracks.newest;
-    if (!ended) take(answer);
+    if (!ended) onSnapshot(answer);
   }
 
-  async function forever() {
+  async function pollForever() {
     while (!ended) {
-      const began = performance.now();
-      await look().catch((error) => ended || fail(error));
-      await rest(Math.max(0, began + INTERVAL - performance.now()));
+      const start = performance.now();
+      await poll().catch((error) => ended || onError(error));
+      await sleep(Math.max(0, start + INTERVAL - performance.now()));
     }
   }
 
-  forever();
+  pollForever();
   return () => {
     ended = true;
   };

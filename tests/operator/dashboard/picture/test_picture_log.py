@@ -48,7 +48,7 @@ def test_lost_events_are_counted_by_kind() -> None:
     story = Story()
     story.tell("alpha", EventsDropped("began", 40), lost={"measured": 2})
     story.tell("alpha", lost={"measured": 3})
-    assert story.seen.hosts["alpha"].lost == {"began": 40, "measured": 5}
+    assert story.seen.hosts["alpha"].lost_events == {"began": 40, "measured": 5}
 
 
 def test_a_restarted_host_starts_with_an_empty_state() -> None:
@@ -72,7 +72,7 @@ def test_curves_have_a_point_per_second_and_drop_old_points() -> None:
         story.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.5, "altitude": 7.0}, 0.0))
         story.picture.tick(story.now)
         story.now += 1.0
-    curves = {(curve.what, curve.of): curve.points for curve in story.picture.curves(story.now)}
+    curves = {(curve.quantity, curve.agent): curve.points for curve in story.picture.curves(story.now)}
     assert len(curves["battery", "one"]) in (600, 601)
     assert curves["battery", "one"][-1] == (1.0, 0.5)
     assert curves["height", "one"][-1] == (1.0, 7.0)
@@ -85,7 +85,7 @@ def test_hops_per_minute_count_the_last_minute() -> None:
         story.tell("alpha", MigrationArrived("boss", 1, sequence, "beta", 900))
         story.now += 10.0
     story.picture.tick(story.now)
-    (hops,) = (curve for curve in story.picture.curves(story.now) if curve.what == "hops")
+    (hops,) = (curve for curve in story.picture.curves(story.now) if curve.quantity == "hops")
     assert hops.points[-1][1] == 6.0
 
 
@@ -108,7 +108,7 @@ def test_events_older_than_a_snapshot_change_nothing() -> None:
     story.picture.feed("alpha", host.batch(up, snapshot=snapshot("alpha")), story.now, 1.7e9)
     story.picture.feed("alpha", old, story.now, 1.7e9)
     boss = story.seen.agents["boss"]
-    assert (boss.to, [hop.to for hop in boss.trail]) == ("", ["beta"])
+    assert (boss.target, [hop.target for hop in boss.trail]) == ("", ["beta"])
     assert not story.seen.vehicles["one"].latched
     assert [line.text for line in story.seen.log] == ["hi"]
 
@@ -190,7 +190,7 @@ def test_dropped_lines_are_shown_in_place_and_counted_from_any_start() -> None:
     story.picture.start_log([("alpha", INCARNATION, event) for event in past], story.now, 1.7e9)
     forty, two = (f"{count} lines left out: too frequent" for count in (40, 2))
     assert [line.text for line in story.seen.log] == ["a", forty, two, "b"]
-    assert story.seen.hosts["alpha"].lost == {"printed": 42, "left": 2}
+    assert story.seen.hosts["alpha"].lost_events == {"printed": 42, "left": 2}
 
 
 def test_dropped_events_older_than_a_snapshot_still_count() -> None:
@@ -199,7 +199,7 @@ def test_dropped_events_older_than_a_snapshot_still_count() -> None:
     old = host.batch(1.0, EventsDropped("left", 5))
     story.picture.feed("alpha", host.batch(2.0, snapshot=snapshot("alpha")), story.now, 1.7e9)
     story.picture.feed("alpha", old, story.now, 1.7e9)
-    assert story.seen.hosts["alpha"].lost == {"left": 5}
+    assert story.seen.hosts["alpha"].lost_events == {"left": 5}
 
 
 def test_a_coordinator_with_dropped_hops_is_at_the_host_that_reports_it() -> None:
@@ -208,7 +208,7 @@ def test_a_coordinator_with_dropped_hops_is_at_the_host_that_reports_it() -> Non
     story.now += 10.0
     story.tell("beta", AgentActivity("boss", "ready", "mission.L", 7, ""))
     boss = story.seen.agents["boss"]
-    assert (boss.host, boss.line, boss.to) == ("beta", 7, "")
+    assert (boss.host, boss.line, boss.target) == ("beta", 7, "")
 
 
 def test_an_unchanged_position_of_a_returning_coordinator_is_kept() -> None:
@@ -246,7 +246,7 @@ def test_a_host_that_names_too_many_agents_does_not_fill_the_memory() -> None:
 )
 def test_only_degrees_of_latitude_and_longitude_are_a_position(name: str, unit: str, is_earth: bool) -> None:
     told = (Quantity(name, "real[]", unit=unit),)
-    assert instruments_of(DeviceManifest("Motors", "x", (), told)).earth == (name if is_earth else "")
+    assert instruments_of(DeviceManifest("Motors", "x", (), told)).geo_position == (name if is_earth else "")
 
 
 def test_a_servo_is_at_its_frame_and_unplaced_without_one() -> None:
@@ -255,9 +255,9 @@ def test_a_servo_is_at_its_frame_and_unplaced_without_one() -> None:
     warm = {"temperatures": [28.0, 28.0], "positions": [0.1, 0.2]}
     story.tell("alpha", DeviceTelemetry("one.fc", warm, 0.0), DeviceTelemetry("two.fc", warm, 0.0))
     one, two = (story.seen.vehicles[name] for name in ("one", "two"))
-    assert (one.place, one.stated, one.earth.latitude) == (
+    assert (one.position, one.is_position_stated, one.geo_position.latitude) == (
         (2.0, 0.5, 0.0),
         True,
         pytest.approx(47.3977, abs=1e-4),
     )
-    assert (two.place, two.earth) == (None, None)
+    assert (two.position, two.geo_position) == (None, None)

@@ -43,8 +43,8 @@ from lfield.wire.observer_messages import BundleStatus, EmergencyStopResult, Sta
 def test_a_host_without_contact_is_shown_as_such() -> None:
     story = Story()
     alpha = story.seen.hosts["alpha"]
-    assert (alpha.age, alpha.linked, alpha.trouble) == (None, False, "no contact yet")
-    assert story.seen.vehicles["one"].place is None
+    assert (alpha.age, alpha.linked, alpha.problem) == (None, False, "no contact yet")
+    assert story.seen.vehicles["one"].position is None
     assert not story.seen.vehicles["one"].fresh
 
 
@@ -53,11 +53,11 @@ def test_a_snapshot_sets_the_picture() -> None:
     one = device("one.fc", position=[1.0, 2.0, -3.0], heading=1.5, battery=0.5, mode="GUIDED", armed=True)
     story.tell("alpha", snapshot=snapshot("alpha", one, agents=[resource("one")]))
     vehicle = story.seen.vehicles["one"]
-    assert vehicle.place == (1.0, 2.0, -3.0)
+    assert vehicle.position == (1.0, 2.0, -3.0)
     assert vehicle.height == 3.0
     assert (vehicle.heading, vehicle.battery, vehicle.mode, vehicle.armed) == (1.5, 0.5, "GUIDED", True)
     assert vehicle.fresh
-    assert vehicle.link == 0.0
+    assert vehicle.telemetry_age == 0.0
     assert story.seen.agents["one"].served == 3
     assert story.seen.hosts["alpha"].links == {"beta": LinkState()}
     assert {name: offer.refusal for name, offer in story.seen.offers.items()} == {"one": "", "two": ""}
@@ -70,9 +70,9 @@ def test_the_last_state_of_a_dead_host_ages() -> None:
     story.picture.on_unlinked("alpha", "no program listens at alpha:8181")
     story.now += 60.0
     alpha, vehicle = story.seen.hosts["alpha"], story.seen.vehicles["one"]
-    assert (alpha.linked, alpha.age, alpha.ending) == (False, 60.0, "it was told to end")
-    assert alpha.trouble == "no program listens at alpha:8181"
-    assert (vehicle.fresh, vehicle.battery, vehicle.link) == (False, 0.5, 60.0)
+    assert (alpha.linked, alpha.age, alpha.end_reason) == (False, 60.0, "it was told to end")
+    assert alpha.problem == "no program listens at alpha:8181"
+    assert (vehicle.fresh, vehicle.battery, vehicle.telemetry_age) == (False, 0.5, 60.0)
 
 
 def test_telemetry_has_the_age_it_reports() -> None:
@@ -91,7 +91,7 @@ def test_a_delayed_batch_is_shown_with_its_age() -> None:
     )
     story.now += 11.0
     story.picture.feed("alpha", late, story.now, 1.7e9)
-    assert story.seen.vehicles["one"].link == pytest.approx(10.0, abs=0.1)
+    assert story.seen.vehicles["one"].telemetry_age == pytest.approx(10.0, abs=0.1)
 
 
 @pytest.mark.parametrize("order", list(permutations(HOP)))
@@ -104,9 +104,9 @@ def test_a_hop_ends_at_its_target_in_any_order_of_reports(order: tuple[str, ...]
     for part in order:
         story.tell(*HOP[part])
     boss = story.seen.coordinators["boss"]
-    assert (boss.host, boss.to, boss.hops, boss.finished) == ("beta", "", 1, "")
+    assert (boss.host, boss.target, boss.hops, boss.finished) == ("beta", "", 1, "")
     (hop,) = boss.trail
-    assert (hop.number, hop.of, hop.to, hop.seconds) == (4, "alpha", "beta", 0.02)
+    assert (hop.number, hop.source, hop.target, hop.duration) == (4, "alpha", "beta", 0.02)
     assert (hop.resource, hop.portal, hop.size) == ("two", "lift", 900)
 
 
@@ -114,7 +114,7 @@ def test_a_coordinator_is_in_transit_until_it_arrives() -> None:
     story = Story()
     story.tell("alpha", AgentStarted("boss", 1), HOP["left"][1])
     boss = story.seen.agents["boss"]
-    assert (boss.host, boss.to, boss.state) == ("alpha", "beta", "on its way")
+    assert (boss.host, boss.target, boss.state) == ("alpha", "beta", "on its way")
 
 
 def test_a_failed_hop_has_its_reason_and_keeps_the_coordinator_in_place() -> None:
@@ -122,8 +122,8 @@ def test_a_failed_hop_has_its_reason_and_keeps_the_coordinator_in_place() -> Non
     stayed = MigrationFailed("boss", 1, 4, "beta", "UnreachableResourceException", "no link")
     story.tell("alpha", HOP["left"][1], stayed)
     boss = story.seen.agents["boss"]
-    assert (boss.host, boss.to) == ("alpha", "")
-    assert boss.trail[0].failed == "UnreachableResourceException: no link"
+    assert (boss.host, boss.target) == ("alpha", "")
+    assert boss.trail[0].failure == "UnreachableResourceException: no link"
 
 
 def test_late_reports_of_a_hop_do_not_move_a_coordinator() -> None:
@@ -147,7 +147,7 @@ def test_the_position_of_a_coordinator_is_that_of_the_host_that_has_it() -> None
     )
     story.tell("beta", AgentActivity("boss", "ready", "mission.L", 3, ""))
     boss = story.seen.agents["boss"]
-    assert (boss.state, boss.file, boss.line, boss.waits) == ("waiting", "mission.L", 12, "two.lift")
+    assert (boss.state, boss.file, boss.line, boss.waits_for) == ("waiting", "mission.L", 12, "two.lift")
 
 
 def test_a_superseded_start_leaves_the_coordinator_to_the_earlier_one() -> None:
@@ -226,7 +226,7 @@ def test_a_stop_shows_confirmed_and_unconfirmed_devices() -> None:
     story.tell("alpha", EmergencyStopChanged("anna", "a child"), DeviceLatched("one.fc", "land", "a child"))
     story.tell("beta", LinkUp("alpha"))
     stop = story.seen.stop
-    assert (stop.stands, stop.complete, stop.by, stop.reason) == (True, False, "anna", "a child")
+    assert (stop.is_active, stop.is_complete, stop.by, stop.reason) == (True, False, "anna", "a child")
     assert stop.unconfirmed == {"one.fc": "its safe state is not confirmed yet"}
     assert stop.unreached == {"beta": "the host has not confirmed the stop"}
     story.tell("alpha", SafeStateConfirmed("one.fc", "land", "a child"))
@@ -237,13 +237,13 @@ def test_a_stop_shows_confirmed_and_unconfirmed_devices() -> None:
     story.tell(
         "beta", DeviceLatched("two.fc", "land", "a child"), SafeStateConfirmed("two.fc", "land", "a child")
     )
-    assert story.seen.stop.complete
+    assert story.seen.stop.is_complete
     story.picture.on_unlinked("beta", "the connection was lost")
     stop = story.seen.stop
-    assert (stop.unreached, stop.before, stop.complete) == ({}, {"beta": ("two.fc",)}, False)
+    assert (stop.unreached, stop.stopped_before, stop.is_complete) == ({}, {"beta": ("two.fc",)}, False)
     story.tell("alpha", EmergencyStopChanged("anna", "", True))
     stop = story.seen.stop
-    assert (stop.stands, stop.unreached, stop.before) == (False, {}, {"beta": ("two.fc",)})
+    assert (stop.is_active, stop.unreached, stop.stopped_before) == (False, {}, {"beta": ("two.fc",)})
     story.tell("beta", EmergencyStopChanged("anna", "", True))
     assert story.seen.stop == StopState()
 
@@ -255,7 +255,7 @@ def test_pauses_and_offers_appear_and_disappear() -> None:
     assert story.seen.paused == ("alpha",)
     assert story.seen.offers["one"].refusal == "it has died"
     two = story.seen.offers["two"]
-    assert (two.reported_by, two.refusal, two.apart) == ("beta", "unreachable", {"alpha": ""})
+    assert (two.reported_by, two.refusal, two.other_reports) == ("beta", "unreachable", {"alpha": ""})
     story.tell("alpha", PauseChanged("anna", True))
     assert story.seen.paused == ()
 
@@ -266,7 +266,7 @@ def test_a_missing_link_ages() -> None:
     story.tell("alpha", LinkDown("beta"))
     story.now += 3.0
     alpha = story.seen.hosts["alpha"]
-    assert (alpha.links, alpha.away) == ({}, {"beta": pytest.approx(3.0, abs=0.01)})
+    assert (alpha.links, alpha.unreachable_for) == ({}, {"beta": pytest.approx(3.0, abs=0.01)})
 
 
 def test_link_figures_are_shown_while_the_link_exists() -> None:
@@ -325,20 +325,20 @@ def test_clock_differences_are_shown_and_change_no_age() -> None:
     story = Story()
     story.hosts["alpha"].wall = 1.7e9 + 600.0 - (story.now - 50.0)
     story.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 0.0))
-    assert story.seen.hosts["alpha"].clock == pytest.approx(600.0)
-    assert story.seen.vehicles["one"].link == 0.0
+    assert story.seen.hosts["alpha"].clock_offset == pytest.approx(600.0)
+    assert story.seen.vehicles["one"].telemetry_age == 0.0
 
 
 def test_metres_become_degrees_by_the_origin_and_back() -> None:
     story = Story(Frames(ZURICH))
     story.tell("alpha", DeviceTelemetry("one.fc", {"position": [1000.0, -500.0, -20.0]}, 0.0))
-    earth = story.seen.vehicles["one"].earth
+    earth = story.seen.vehicles["one"].geo_position
     assert earth.altitude == 508.0
     # The result of geographiclib; a metre is 1e-5 degrees.
     assert earth.latitude == pytest.approx(47.40669434, abs=1e-6)
     assert earth.longitude == pytest.approx(8.53897546, abs=2e-6)
     story.tell("beta", DeviceTelemetry("two.fc", {"globalPosition": list(earth)}, 0.0))
-    north, east, down = story.seen.vehicles["two"].place
+    north, east, down = story.seen.vehicles["two"].position
     assert (north, east, down) == (pytest.approx(1000.0), pytest.approx(-500.0), -20.0)
 
 
@@ -347,7 +347,7 @@ def test_vehicles_with_global_positions_only_are_apart_without_an_origin() -> No
     here, there = [47.3977, 8.5456, 488.0], [47.3987, 8.5456, 489.0]
     story.tell("alpha", DeviceTelemetry("one.fc", {"globalPosition": here, "position": [0.0, 0.0, 0.0]}, 0.0))
     story.tell("beta", DeviceTelemetry("two.fc", {"globalPosition": there, "position": [0.0, 0.0, 0.0]}, 0.0))
-    one, two = (story.seen.vehicles[name].place for name in ("one", "two"))
+    one, two = (story.seen.vehicles[name].position for name in ("one", "two"))
     assert one == (0.0, 0.0, 0.0)
     assert two.north == pytest.approx(111.2, abs=0.2)
     assert two.down == -1.0
@@ -357,8 +357,8 @@ def test_without_a_position_a_vehicle_is_at_its_stated_pose_or_unplaced() -> Non
     story = Story(Frames(agents={"one": Pose(3.0, 4.0)}))
     story.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 0.0), DeviceTelemetry("two.fc", {}, 0.0))
     one, two = (story.seen.vehicles[name] for name in ("one", "two"))
-    assert (one.place, one.stated, one.measured) == ((3.0, 4.0, 0.0), True, None)
-    assert (two.place, two.stated) == (None, False)
+    assert (one.position, one.is_position_stated, one.position_age) == ((3.0, 4.0, 0.0), True, None)
+    assert (two.position, two.is_position_stated) == (None, False)
 
 
 @pytest.mark.parametrize("value", [[1.0], [math.nan, 0.0], [1.0] * 5, "here", True, [200.0, 0.0, 0.0]])
@@ -369,4 +369,9 @@ def test_invalid_values_of_a_host_are_not_a_position(value: object) -> None:
         del nonsense["position"]
     story.tell("alpha", DeviceTelemetry("one.fc", nonsense, 0.0))  # type: ignore[arg-type]
     vehicle = story.seen.vehicles["one"]
-    assert (vehicle.place, vehicle.earth, vehicle.heading, vehicle.battery) == (None, None, None, None)
+    assert (vehicle.position, vehicle.geo_position, vehicle.heading, vehicle.battery) == (
+        None,
+        None,
+        None,
+        None,
+    )

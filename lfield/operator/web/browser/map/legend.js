@@ -1,5 +1,5 @@
-// The legend below the map: what is drawn now, with its sign.
-import * as words from "../words.js";
+// The legend below the map: the kinds of signs that are drawn now.
+import * as format from "../text_format.js";
 
 const SIGNS = {
   track: "M1 10L9 3L15 9L23 2", way: "M2 7H22", area: "M2 2H22V12H2Z", inside: "M2 2H22V12H2Z", outside: "M2 2H22V12H2Z", limit: "M2 12A10 10 0 0 1 22 12", edge: "M2 12A10 10 0 0 1 22 12",
@@ -16,22 +16,22 @@ function limits(vehicles) {
   const found = {};
   for (const v of vehicles) {
     const parts = [];
-    if (v.radius !== null) parts.push(`${words.metres(v.radius)} from home`);
-    if (v.ceiling !== null) parts.push(`${words.metres(v.ceiling)} above home`);
+    if (v.radius !== null) parts.push(`${format.metres(v.radius)} from home`);
+    if (v.ceiling !== null) parts.push(`${format.metres(v.ceiling)} above home`);
     if (parts.length) (found[parts.join(", ")] ??= []).push(v.agent);
   }
   return Object.entries(found).map(([text, agents]) => `limit of ${agents.join(", ")}: ${text}`);
 }
 
 export default {
-  props: { look: Object, shown: Object, drawings: Array },
+  props: { team: Object, shown: Object, drawings: Array },
   template: `
   <ul class="legend" data-testid="legend" aria-label="Legend of the map">
     <li v-for="entry in entries" :key="entry.text" :data-testid="'legend-' + entry.kind"><svg viewBox="0 0 24 14" aria-hidden="true"><path :class="entry.kind" :d="entry.sign"/></svg>{{ entry.text }}</li>
   </ul>`,
   computed: {
     entries() {
-      const { look, shown, drawings } = this;
+      const { team, shown, drawings } = this;
       const found = [];
       const add = (kind, text, sign = SIGNS[kind]) => found.push({ kind, text, sign });
       if (shown.track) add("track", "track");
@@ -39,7 +39,7 @@ export default {
         const named = files(drawings, kind);
         if (named) add(kind, `${what}: ${named}`);
       }
-      for (const text of limits(look.vehicles)) add("limit", text, shown.limit ? SIGNS.limit : "");
+      for (const text of limits(team.vehicles)) add("limit", text, shown.limit ? SIGNS.limit : "");
       if (shown.edge) add("edge", "fence of the autopilot");
       if (shown.home) add("home", "home");
       if (shown.mind) add("mind", "coordinator");

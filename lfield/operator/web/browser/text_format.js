@@ -1,23 +1,23 @@
 // Numbers as text: short, of constant width, "–" for unknown values.
 
-export const NOT_KNOWN = "–";
+export const UNKNOWN = "–";
 
 // A number with one digit; a small negative one is 0.0, never -0.0.
-export function tenths(value) {
+export function oneDecimal(value) {
   return (Math.round(value * 10) / 10 + 0).toFixed(1);
 }
 
 export function metres(value) {
-  return value === null ? NOT_KNOWN : `${tenths(value)} m`;
+  return value === null ? UNKNOWN : `${oneDecimal(value)} m`;
 }
 
-export function share(value) {
-  return value === null ? NOT_KNOWN : `${Math.round(value * 100)} %`;
+export function percent(value) {
+  return value === null ? UNKNOWN : `${Math.round(value * 100)} %`;
 }
 
 // An age in seconds: "0.2 s", "12 s", "3 min", "2 h".
 export function age(seconds) {
-  if (seconds === null) return NOT_KNOWN;
+  if (seconds === null) return UNKNOWN;
   if (seconds < 10) return `${seconds.toFixed(1)} s`;
   if (seconds < 120) return `${Math.round(seconds)} s`;
   if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
@@ -37,7 +37,7 @@ export function bytes(count) {
 }
 
 // The measurements of a link: "214 ms, 4.8 % lost, 12.3 kB sent, 9.1 kB received, hop 3.1 kB".
-export function link({ round_trip, loss, sent, received, kinds }) {
+export function linkFigures({ round_trip, loss, sent, received, kinds }) {
   const parts = [];
   if (round_trip !== null) parts.push(duration(round_trip));
   if (loss !== null) parts.push(`${(loss * 100).toFixed(1)} % lost`);
@@ -48,25 +48,25 @@ export function link({ round_trip, loss, sent, received, kinds }) {
 }
 
 // Whether positions are shown in degrees: every vehicle with a position has a global one.
-export function geographic(vehicles) {
-  const located = vehicles.filter((v) => v.place || v.earth);
-  return located.length > 0 && located.every((v) => v.earth);
+export function isGeographic(vehicles) {
+  const located = vehicles.filter((v) => v.position || v.geo_position);
+  return located.length > 0 && located.every((v) => v.geo_position);
 }
 
-export function place({ place, earth }, inDegrees) {
-  if (earth && (inDegrees || !place)) return `${earth[0].toFixed(6)}°, ${earth[1].toFixed(6)}°`;
-  if (place) return `${tenths(place[1])}, ${tenths(place[0])}`;
+export function position({ position, geo_position }, inDegrees) {
+  if (geo_position && (inDegrees || !position)) return `${geo_position[0].toFixed(6)}°, ${geo_position[1].toFixed(6)}°`;
+  if (position) return `${oneDecimal(position[1])}, ${oneDecimal(position[0])}`;
   return "no position";
 }
 
 // The position in the frame of the team.
-export function local({ place }) {
-  return place ? `${tenths(place[1])} m east, ${tenths(place[0])} m north in the frame of the team` : "";
+export function localPosition({ position }) {
+  return position ? `${oneDecimal(position[1])} m east, ${oneDecimal(position[0])} m north in the frame of the team` : "";
 }
 
 // A latitude or longitude: "47.40005° N".
-export function degrees(value, places, positive, negative) {
-  return `${Math.abs(value).toFixed(places)}° ${value < 0 ? negative : positive}`;
+export function degrees(value, digits, positive, negative) {
+  return `${Math.abs(value).toFixed(digits)}° ${value < 0 ? negative : positive}`;
 }
 
 export function clock(at) {

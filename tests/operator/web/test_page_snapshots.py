@@ -25,16 +25,16 @@ class Time:
         return self.now
 
 
-def looks_of(script: Script, time: Time) -> PageSnapshots:
+def page_snapshots(script: Script, time: Time) -> PageSnapshots:
     return PageSnapshots(script, lambda: script.denied_orders, None, time)
 
 
 def test_snapshots_are_made_at_most_twenty_times_a_second_for_any_number_of_requests():
     time = Time()
     script = Script(2, now=time)
-    looks = looks_of(script, time)
+    snapshots = page_snapshots(script, time)
     for _ in range(1000):
-        looks.snapshot(0)
+        snapshots.snapshot(0)
         time.now += 0.001
     assert script.revision <= 1 + 1.0 / MIN_INTERVAL
 
@@ -42,25 +42,25 @@ def test_snapshots_are_made_at_most_twenty_times_a_second_for_any_number_of_requ
 def test_a_resumed_page_needs_one_snapshot():
     time = Time()
     script = Script(2, now=time)
-    looks = looks_of(script, time)
-    before = json.loads(looks.snapshot(0))
+    snapshots = page_snapshots(script, time)
+    before = json.loads(snapshots.snapshot(0))
     time.now += 3600.0
     script.say("alpha", "much has happened")
-    after = json.loads(looks.snapshot(before["log"][-1]["serial"] if before["log"] else 0))
+    after = json.loads(snapshots.snapshot(before["log"][-1]["serial"] if before["log"] else 0))
     assert "much has happened" in [line["text"] for line in after["log"]]
-    assert after["look"]["vehicles"][0]["place"] != before["look"]["vehicles"][0]["place"]
+    assert after["team"]["vehicles"][0]["position"] != before["team"]["vehicles"][0]["position"]
 
 
 def test_readings_that_no_page_shows_are_not_sent():
     time = Time()
-    vehicle = json.loads(looks_of(Script(1, now=time), time).snapshot(0))["look"]["vehicles"][0]
-    assert vehicle["devices"][0]["readings"] == {}
+    vehicle = json.loads(page_snapshots(Script(1, now=time), time).snapshot(0))["team"]["vehicles"][0]
+    assert vehicle["devices"][0].keys() == {"name", "fresh", "latched", "confirmed", "moving"}
     assert vehicle["height"] > 0
 
 
-def test_a_snapshot_of_fifty_vehicles_is_under_68_kilobytes():
+def test_a_snapshot_of_fifty_vehicles_is_under_61_kilobytes():
     time = Time()
-    assert len(looks_of(Script(50, now=time), time).snapshot(0)) < 68_000
+    assert len(page_snapshots(Script(50, now=time), time).snapshot(0)) < 61_000
 
 
 def test_log_lines_are_sent_once_and_limited_in_number():
