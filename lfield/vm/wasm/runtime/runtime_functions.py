@@ -10,7 +10,7 @@ import wasmtime
 from lfield.vm.wasm.native_calls import bind_function
 
 #: The files of the runtime: common functions, whole-heap operations, functions of compiled methods.
-PARTS = ("words", "collect", "copy", "sound", "travels", "strings", "texts")
+PARTS = ("memory", "collect", "copy", "verify_heap", "can_migrate", "strings", "conversions")
 
 
 @cache
@@ -33,5 +33,5 @@ class RuntimeFunctions:
         self.instance = wasmtime.Instance(store, code, [memory])
         self.collect = bind_function(store, self.instance, "collect", 6)
         self.deep_copy = bind_function(store, self.instance, "deep_copy", 10)
-        self.verify_heap = bind_function(store, self.instance, "sound", 6)
-        self.can_migrate = bind_function(store, self.instance, "travels", 6)
+        self.verify_heap = bind_function(store, self.instance, "verify_heap", 6)
+        self.can_migrate = bind_function(store, self.instance, "can_migrate", 6)

@@ -8,24 +8,24 @@
 ;; all words after the header), the address of their list, another number. An entry of a list: the offset of
 ;; a reference in bytes, and its target type.
 
-(func $record (param $tables i32) (param $half i32) (result i32)
+(func $record (param $tables i32) (param $header_low i32) (result i32)
     (local $kind i32)
     (local.set $kind
-        (i32.add (local.get $tables) (i32.shl (i32.and (local.get $half) (i32.const 15)) (i32.const 2))))
+        (i32.add (local.get $tables) (i32.shl (i32.and (local.get $header_low) (i32.const 15)) (i32.const 2))))
     ;; No table has it: it is not an object.
     (if (i32.or
-            (i32.gt_u (i32.and (local.get $half) (i32.const 255)) (i32.const 15))
+            (i32.gt_u (i32.and (local.get $header_low) (i32.const 255)) (i32.const 15))
             (i32.ge_u
-                (i32.shr_u (local.get $half) (i32.const 8))
+                (i32.shr_u (local.get $header_low) (i32.const 8))
                 (i32.load offset=64 (local.get $kind))))
         (then unreachable))
     (i32.add
         (i32.add (local.get $tables) (i32.load (local.get $kind)))
-        (i32.shl (i32.shr_u (local.get $half) (i32.const 8)) (i32.const 4))))
+        (i32.shl (i32.shr_u (local.get $header_low) (i32.const 8)) (i32.const 4))))
 
-;; The address of a place of a block.
-(func $at (param $base i32) (param $place i64) (result i32)
-    (i32.add (local.get $base) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
+;; The address of a word of a block.
+(func $address (param $base i32) (param $index i64) (result i32)
+    (i32.add (local.get $base) (i32.shl (i32.wrap_i64 (local.get $index)) (i32.const 3))))
 
 ;; Moves bytes; a few of them are moved faster here than by memory.copy.
 (func $move (param $to i32) (param $from i32) (param $count i32)
@@ -53,24 +53,24 @@
 ;; Moves the elements of a growable array to an array at $top with space for half as many more, as in
 ;; lfield/vm/memory/block.py; its size in words. 0 without effect if it does not fit before $end, or is long.
 (func $grow (export "grow")
-    (param $base i32) (param $place i64) (param $top i64) (param $end i64) (param $most i64)
+    (param $base i32) (param $index i64) (param $top i64) (param $end i64) (param $max_length i64)
     (result i64)
-    (local $at i32) (local $from i32) (local $to i32) (local $length i64) (local $capacity i64)
-    (local.set $at (call $at (local.get $base) (local.get $place)))
-    (local.set $length (i64.load offset=8 (local.get $at)))
+    (local $address i32) (local $from i32) (local $to i32) (local $length i64) (local $capacity i64)
+    (local.set $address (call $address (local.get $base) (local.get $index)))
+    (local.set $length (i64.load offset=8 (local.get $address)))
     (if (i64.gt_u (local.get $length) (i64.const 8192)) (then (return (i64.const 0))))
     (local.set $capacity
         (i64.add
             (i64.add (local.get $length) (i64.shr_u (local.get $length) (i64.const 1)))
             (i64.const 4)))
-    (if (i64.gt_u (local.get $capacity) (local.get $most))
-        (then (local.set $capacity (local.get $most))))
+    (if (i64.gt_u (local.get $capacity) (local.get $max_length))
+        (then (local.set $capacity (local.get $max_length))))
     (if (i64.gt_u
             (i64.add (i64.add (local.get $top) (local.get $capacity)) (i64.const 1))
             (local.get $end))
         (then (return (i64.const 0))))
-    (local.set $from (call $at (local.get $base) (i64.load offset=16 (local.get $at))))
-    (local.set $to (call $at (local.get $base) (local.get $top)))
+    (local.set $from (call $address (local.get $base) (i64.load offset=16 (local.get $address))))
+    (local.set $to (call $address (local.get $base) (local.get $top)))
     (i64.store (local.get $to)
         (i64.or
             (i64.load32_u (local.get $from))
@@ -85,5 +85,5 @@
             (i32.shl (i32.wrap_i64 (i64.add (local.get $length) (i64.const 1))) (i32.const 3)))
         (i32.const 0)
         (i32.shl (i32.wrap_i64 (i64.sub (local.get $capacity) (local.get $length))) (i32.const 3)))
-    (i64.store offset=16 (local.get $at) (local.get $top))
+    (i64.store offset=16 (local.get $address) (local.get $top))
     (i64.add (local.get $capacity) (i64.const 1)))
