@@ -100,9 +100,9 @@ async def test_a_stop_is_shown_until_it_is_lifted(fleet, shown, hosts, /) -> Non
     await fleet.until(lambda: shown.snapshot().stop.hosts == ("alpha", "beta"))
     stop = shown.snapshot().stop
     assert stop.reason == "the emergency stop was pressed: a child"
-    assert stop.complete
+    assert stop.is_complete
     assert (await shown.actions.lift()).is_complete
-    await fleet.until(lambda: not shown.snapshot().stop.stands)
+    await fleet.until(lambda: not shown.snapshot().stop.is_active)
 
 
 def test_orders_use_open_connections_and_dial_where_there_is_none(operate) -> None:
@@ -138,9 +138,9 @@ async def test_an_unreached_host_is_named_by_a_stop_and_in_the_display(fleet, sh
     done = await shown.actions.stop()
     assert list(done.unreached) == ["beta"]
     assert not done.is_complete
-    await fleet.until(lambda: shown.snapshot().stop.stands)
+    await fleet.until(lambda: shown.snapshot().stop.is_active)
     stop = shown.snapshot().stop
-    assert (stop.hosts, list(stop.unreached), stop.complete) == (("alpha",), ["beta"], False)
+    assert (stop.hosts, list(stop.unreached), stop.is_complete) == (("alpha",), ["beta"], False)
 
 
 @scenario("operate")

@@ -73,16 +73,16 @@ async def test_a_walk_is_shown_hop_by_hop_to_its_end(fleet, /) -> None:
     async with followed(fleet, mission, since=0) as shown:
         await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
         # The end of the coordinator is reported before its last hop is confirmed.
-        await fleet.until(lambda: shown.snapshot().coordinators["walker"].trail[-1].seconds is not None)
+        await fleet.until(lambda: shown.snapshot().coordinators["walker"].trail[-1].duration is not None)
         await fleet.until(lambda: len([x for x in shown.snapshot().log if "visit" in x.text]) == 6)
         observed = shown.snapshot()
         walker = observed.coordinators["walker"]
         assert (walker.finished, walker.host) == ("done", "beta")
-        assert [(hop.of, hop.to) for hop in walker.trail] == [
+        assert [(hop.source, hop.target) for hop in walker.trail] == [
             ("alpha", "beta"),
             ("beta", "alpha"),
         ] * 2 + [("alpha", "beta")]
-        assert all(hop.seconds is not None and hop.resource in "pq" for hop in walker.trail)
+        assert all(hop.duration is not None and hop.resource in "pq" for hop in walker.trail)
         assert walker.hops == 5
         assert all(host.linked for host in observed.hosts.values())
         entries = shown.timeline.drain_events()
@@ -156,11 +156,11 @@ async def test_an_ended_host_stays_displayed_and_its_restart_is_counted(fleet, /
         await beta.host.stop()
         await fleet.until(lambda: not shown.snapshot().hosts["beta"].linked)
         gone = shown.snapshot().hosts["beta"]
-        assert gone.ending is not None
+        assert gone.end_reason is not None
         await asyncio.sleep(30.0)
         assert shown.snapshot().hosts["beta"].age == pytest.approx(30.0, abs=2.0)
         await fleet.up(mission, "beta", first_start=False)
         await fleet.until(lambda: shown.snapshot().hosts["beta"].linked)
         again = shown.snapshot().hosts["beta"]
-        assert (again.restarts, again.ending) == (1, None)
-        assert "state" not in again.lost
+        assert (again.restarts, again.end_reason) == (1, None)
+        assert "state" not in again.lost_events
