@@ -59,9 +59,9 @@ class Report:
     def lines(self) -> list[str]:
         """All events, and the exceptions that the program has printed, in order."""
         exceptions = [
-            (line.at, "told", line.text.split(": ", 2)[2])
+            (line.at, "caught", line.text.split(": ", 2)[2])
             for line in self._team.lines
-            if ": told at" in line.text
+            if ": caught at" in line.text
         ]
         return [f"{event:8} {text}" for _, event, text in sorted([*self._events, *exceptions])]
 

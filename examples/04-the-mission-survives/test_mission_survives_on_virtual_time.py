@@ -14,7 +14,7 @@ def test_each_portal_is_called_once_per_step_without_failures(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.said("survivor: complete; the coordinator migrated 5 times")
-    assert not team.said("told at")
+    assert not team.said("caught at")
     assert [call_count(team, portal) for portal in ("flyTo", "driveTo", "reach", "moveTo")] == [2, 1, 2, 1]
 
 
@@ -38,7 +38,7 @@ def test_restart_of_a_host_raises_an_exception_and_the_step_is_repeated(
     team.boot(host)
     team.run(until_done=True)
     assert team.ended == {"survivor": "done"}
-    assert team.said(f"survivor: told at step {step}: ")
+    assert team.said(f"survivor: caught at step {step}: ")
     assert team.said("survivor: complete") == 1
 
 
@@ -67,6 +67,6 @@ def test_another_host_continues_the_coordinator_of_a_lost_host(lfield_mission):
     team.run(until="clearer recovered on this host")
     recovered = team.now
     team.run(until_done=True)
-    assert team.said("told at part")
+    assert team.said("caught at part")
     assert team.said("clearer: complete; 12 parts are in the box")
     assert recovered < 30.0

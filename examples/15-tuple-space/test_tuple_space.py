@@ -158,7 +158,7 @@ def test_disconnected_robot_cannot_report_a_returned_tuple(field):
     assert_each_weed_pulled_once(field)
     assert field.said("hoe1-carrier recovered on this host", "farm") == 1
     assert field.ended["hoe1-carrier"] == "done"
-    assert field.said("once more: ", "north") <= 5, "retries must have intervals"
+    assert field.said("retry: ", "north") <= 5, "retries must have intervals"
 
 
 @pytest.mark.few(0)
@@ -172,7 +172,7 @@ def test_interrupted_wait_is_resumed(field):
     for host in ROBOTS:
         field.heal("farm", host)
     field.run(until_done=True)
-    assert field.said("once more: ", "farm") >= 3
+    assert field.said("retry: ", "farm") >= 3
     assert_each_weed_pulled_once(field)
 
 

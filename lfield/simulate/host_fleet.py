@@ -34,7 +34,12 @@ from lfield.mission.mission import Mission, with_installed_drivers
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import split_address
 from lfield.simulate.computers.event_queue import EventQueue
-from lfield.simulate.computers.process_loop import closing_generators, release, unscanned_heap
+from lfield.simulate.computers.process_loop import (
+    closed_simulations,
+    closing_generators,
+    release,
+    unscanned_heap,
+)
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_machine import SimulatedMachine
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
@@ -218,6 +223,7 @@ class Fleet:
             station.power_off()
         for computer in [*self.computers.values(), *self.stations]:
             release(computer.machine)
+        closed_simulations.collect()
 
     def lose_disk(self, name: str) -> None:
         """Replace a host's disk by an empty one."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import random
 import subprocess
 import sys
+import weakref
 from collections import Counter
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from lfield.mission.mission import Mission
 from lfield.replication.transfer.coordinator_copies import CoordinatorCopy
 from lfield.replication.transfer.effects import Effect
 from lfield.replication.transfer.transfer_sender import TransferSender
+from lfield.simulate.computers import process_loop
 from lfield.simulate.host_fleet import Fleet, FleetOptions, copies
 from simulation_testing.fault_injection import FaultRates
 
@@ -164,3 +167,21 @@ def test_a_run_does_not_depend_on_the_process(tmp_path: Path) -> None:
     ]
     assert runs[0] == runs[1]
     assert "digest" in runs[0]
+
+
+def test_closed_fleets_are_freed_when_the_process_has_grown(
+    mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_loop, "MAX_GROWTH", -(10**9))
+    gc.disable()
+    try:
+        fleet = Fleet(mission)
+        fleet.run(0.5)
+        fleet.close()
+        closed = weakref.ref(fleet)
+        del fleet
+        assert closed() is not None
+        Fleet(mission).close()
+        assert closed() is None
+    finally:
+        gc.enable()

@@ -23,7 +23,7 @@ from lfield.service.server import ServiceServer
 from lfield.service.service import Service
 from lfield.service.service_process import MAX_BLOCK, ask_peer
 from lfield.simulate.computers.event_queue import EventQueue
-from lfield.simulate.computers.process_loop import closing_generators, release
+from lfield.simulate.computers.process_loop import closed_simulations, closing_generators, release
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_machine import SimulatedMachine
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
@@ -124,6 +124,7 @@ class ServiceFleet:
         for computer in (*self.computers.values(), *self.stations):
             computer.power_off()
             release(computer.machine)
+        closed_simulations.collect()
 
     def note(self, name: str, text: str) -> None:
         """Write a log line."""
