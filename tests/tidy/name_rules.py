@@ -1,4 +1,8 @@
-"""Banned names: of modules, classes, functions, parameters, variables, attributes and fields. Pure."""
+"""Banned names: of modules, classes, functions, parameters, variables, attributes and fields. Pure.
+
+The names of Python files come from their syntax trees. Those of JavaScript and WebAssembly text are found by
+the forms of their declarations.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +39,12 @@ class Banned:
         return next((self.words[word] for word in plain.split("_") if word in self.words), None)
 
 
+_CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _Bound = Iterator[tuple[str, str | None]]
 
 
 def _class(node: ast.ClassDef) -> _Bound:
-    yield "class", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", node.name)
+    yield "class", _CAMEL_CASE.sub("_", node.name)
 
 
 def _function(node: ast.FunctionDef | ast.AsyncFunctionDef) -> _Bound:
@@ -84,6 +89,29 @@ def named(file: str, tree: ast.Module) -> Iterator[tuple[int, str, str]]:
             for kind, name in bound(node):
                 if name is not None:
                     yield getattr(node, "lineno", 1), kind, name
+
+
+#: Declarations by the suffix of a file: variables, functions, parameters, methods, properties of a component.
+_DECLARATIONS = {
+    ".js": re.compile(
+        r"\b(?:const|let|function)\s+(\w+)|^\s+(?:async )?(\w+)\([^)]*\) \{$|\bthis\.(\w+)|^\s+(\w+):"
+        r"|\((\w+)[,)]"
+    ),
+    ".wat": re.compile(r"\$(\w+)"),
+}
+
+
+def banned_names_in_text(file: str, text: str, banned: Banned) -> list[Finding]:
+    """Banned names that a file of JavaScript or WebAssembly text declares, in the order of its lines."""
+    found = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        for match in _DECLARATIONS[Path(file).suffix].finditer(line):
+            name = next(filter(None, match.groups()))
+            instead = banned.instead(_CAMEL_CASE.sub("_", name), file)
+            if instead is not None:
+                problem = f"{name} is not a term of the field; use {instead}"
+                found.append(Finding("name", file, number, name, problem))
+    return found
 
 
 def banned_names(trees: Trees, banned: Banned) -> list[Finding]:

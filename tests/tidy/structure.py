@@ -28,7 +28,7 @@ from code_tree import (
     root,
     scoped,
 )
-from name_rules import banned_names, lines_of, read_banned
+from name_rules import Banned, banned_names, banned_names_in_text, lines_of, read_banned
 
 ROOT = Path(__file__).parents[2]
 BANNED = Path(__file__).with_name("banned_names.txt")
@@ -247,10 +247,22 @@ def findings_of(trees: Trees, others: Trees) -> dict[str, list[Finding]]:
     within = [{f: tree for f, tree in trees.items() if f.startswith(f"{each}/")} for each in packages()]
     return {
         "class": [each for some in within for each in repeated_classes(some)],
-        "name": banned_names({**trees, **others}, banned),
+        "name": [*banned_names({**trees, **others}, banned), *_banned_in_texts(banned)],
         "assignment": foreign_assignments(trees),
         "constructor": long_constructors(trees),
     }
+
+
+def _banned_in_texts(banned: Banned) -> list[Finding]:
+    """The banned names in the JavaScript and WebAssembly text of lfield."""
+    paths = sorted(path for path in (ROOT / "lfield").rglob("*") if path.suffix in (".js", ".wat"))
+    return [
+        finding
+        for path in paths
+        for finding in banned_names_in_text(
+            path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"), banned
+        )
+    ]
 
 
 def main() -> None:

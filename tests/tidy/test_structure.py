@@ -135,6 +135,24 @@ def test_banned_names_of_variables_and_fields_are_found(source: str) -> None:
     assert len(name_rules.banned_names(trees(a=source), banned)) == 1
 
 
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("a.js", "const told = 1;"),
+        ("a.js", "  async wasTold(event) {"),
+        ("a.js", "    told: null,"),
+        ("a.js", "    this.toldAt = 0;"),
+        ("a.js", "export const f = (told) => told;"),
+        ("a.wat", "(func $told (param $x i32))"),
+    ],
+)
+def test_banned_names_of_javascript_and_webassembly_are_found(file: str, line: str) -> None:
+    banned = name_rules.read_banned("word told reported")
+    found = name_rules.banned_names_in_text(file, f"// a comment\n{line}", banned)
+    assert [finding.line for finding in found] == [2]
+    assert name_rules.banned_names_in_text(file, line.replace("old", "otal"), banned) == []
+
+
 def test_term_may_be_accepted_in_some_folders_only() -> None:
     banned = name_rules.read_banned(
         "name word token\nword roll inventory\nterm word lfield/vm\nterm roll lfield/x"

@@ -61,7 +61,7 @@ def diagram(walk: Walk) -> str:
         f'<rect width="{wide}" height="{tall}" fill="#ffffff"/>',
     ]
     middle = MARGIN + COLUMN * (len(PACKAGES) - 0.5)
-    for host, x in (("host that is left", middle / 2), ("host of the resource", (wide + middle) / 2)):
+    for host, x in (("sending host", middle / 2), ("receiving host", (wide + middle) / 2)):
         lines.append(f'<text x="{x:g}" y="20" text-anchor="middle" font-weight="bold">{host}</text>')
     lines.append(f'<path d="M{middle:g} 8 V{tall}" stroke="#9aa7b5" stroke-dasharray="5 4"/>')
     for column, package in enumerate((*PACKAGES, *reversed(PACKAGES))):

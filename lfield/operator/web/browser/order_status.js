@@ -14,7 +14,7 @@ export default {
   <div>
     <p v-for="(press, order) in waiting" :key="order" class="problem pending" role="status" :data-testid="'asking-' + order"><b>{{ titles[order] }}</b> pressed: waiting for the hosts, {{ age((now - press.since) / 1000) }}</p>
     <p v-for="(failure, order) in failures" :key="order" class="problem" role="alert" data-testid="failed">{{ failureText(order, failure) }}</p>
-    <section v-if="shown" class="order-status" :class="{complete: team.is_stop_complete, quiet: !team.is_stopped && !missing}" data-testid="halt" role="alert">
+    <section v-if="isVisible" class="order-status" :class="{complete: team.is_stop_complete, quiet: !team.is_stopped && !missing}" data-testid="halt" role="alert">
       <h2>{{ title }}</h2>
       <p v-if="stop.reason">{{ stop.reason }}<template v-if="stop.by">, by {{ stop.by }}</template><template v-if="stop.age !== null">, {{ age(stop.age) }} ago</template></p>
       <ul>
@@ -49,7 +49,7 @@ export default {
     missing() {
       return count(this.stop.unreached) + count(this.stop.unconfirmed) + this.stop.pending.length;
     },
-    shown() {
+    isVisible() {
       return this.team && (this.team.is_stopped || this.missing > 0 || count(this.stop.stopped_before) > 0);
     },
     title() {

@@ -141,8 +141,8 @@ export default {
       return this.team?.denied_orders ?? {};
     },
     deniedTexts() {
-      const seen = new Set();
-      return Object.fromEntries(Object.entries(this.denied).filter(([, reason]) => !seen.has(reason) && seen.add(reason)));
+      const reasons = new Set();
+      return Object.fromEntries(Object.entries(this.denied).filter(([, reason]) => !reasons.has(reason) && reasons.add(reason)));
     },
     liftable() {
       const stop = this.team?.stop;

@@ -24,7 +24,7 @@
     (if (i64.gt_u (i64.extend_i32_u (local.get $bytes)) (local.get $max_length))
         (then (return (i64.const 0))))
     (local.set $words
-        (call $begin_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
+        (call $start_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
     (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
     (local.set $address (i32.add (call $address (local.get $base) (local.get $top)) (i32.const 16)))
     (if (local.get $negative) (then (i32.store8 (local.get $address) (i32.const 45))))
@@ -49,7 +49,7 @@
     (if (i64.gt_u (i64.extend_i32_u (local.get $bytes)) (local.get $max_length))
         (then (return (i64.const 0))))
     (local.set $words
-        (call $begin_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
+        (call $start_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
     (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
     (i64.store offset=16 (call $address (local.get $base) (local.get $top))
         (select

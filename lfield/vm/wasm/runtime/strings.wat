@@ -89,7 +89,7 @@
     (local.get $address))
 
 ;; Writes the header of a string of that many bytes at $top, with 0 in its last word; its size, 0 if it does not fit.
-(func $begin_string (param $base i32) (param $top i64) (param $end i64) (param $bytes i32) (result i64)
+(func $start_string (param $base i32) (param $top i64) (param $end i64) (param $bytes i32) (result i64)
     (local $words i64) (local $address i32)
     (local.set $words
         (i64.add
@@ -125,7 +125,7 @@
             (local.get $max_length))
         (then (return (i64.const 0))))
     (local.set $words
-        (call $begin_string (local.get $base) (local.get $top) (local.get $end)
+        (call $start_string (local.get $base) (local.get $top) (local.get $end)
             (i32.add (local.get $first_size) (local.get $second_size))))
     (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
     (local.set $destination (i32.add (call $address (local.get $base) (local.get $top)) (i32.const 16)))
@@ -243,7 +243,7 @@
                     (i32.wrap_i64 (i64.sub (local.get $stop) (local.get $start)))))))
     (local.set $bytes (i32.sub (local.get $to) (local.get $from)))
     (local.set $words
-        (call $begin_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
+        (call $start_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
     (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
     (call $move
         (i32.add (call $address (local.get $base) (local.get $top)) (i32.const 16))

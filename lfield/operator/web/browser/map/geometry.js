@@ -41,9 +41,9 @@ export function line(pixels, closed = false) {
 
 // Every second point of a track that is longer than `most`, counted from the newest, which stays.
 export function thinned(points, most) {
-  let kept = points;
-  while (kept.length > most) kept = kept.filter((_, n) => (kept.length - 1 - n) % 2 === 0);
-  return kept;
+  let remaining = points;
+  while (remaining.length > most) remaining = remaining.filter((_, n) => (remaining.length - 1 - n) % 2 === 0);
+  return remaining;
 }
 
 // Circles without those that are drawn by an earlier one: the same middle and radius within a pixel.

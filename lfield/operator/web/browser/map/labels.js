@@ -16,8 +16,8 @@ function overlaps(a, b) {
 
 // The labels with a `box` that no earlier one and no obstacle hides, in order of importance.
 export function separate(labels, obstacles) {
-  const taken = [...obstacles];
-  return labels.filter(({ box }) => !taken.some((other) => overlaps(box, other)) && taken.push(box));
+  const occupied = [...obstacles];
+  return labels.filter(({ box }) => !occupied.some((other) => overlaps(box, other)) && occupied.push(box));
 }
 
 export function boxAround({ x, y, radius }) {
@@ -37,9 +37,9 @@ function boxAt({ x, y, radius, width, height }, { distance, turn }) {
 // distant. Obstacles are boxes, `size` is that of the map. `before` are the slots of the last call: a label stays in its
 // slot while that is free, and at most one distance farther than the nearest free one. Gives {key: {slot, left, top, line}}; a label without a free slot is omitted.
 export function placedLabels(labels, obstacles, size, before = {}) {
-  const taken = [...obstacles];
+  const occupied = [...obstacles];
   const placed = {};
-  const fits = (box) => box.left >= 0 && box.top >= 0 && box.right <= size.x && box.bottom <= size.y && !taken.some((other) => overlaps(box, other));
+  const fits = (box) => box.left >= 0 && box.top >= 0 && box.right <= size.x && box.bottom <= size.y && !occupied.some((other) => overlaps(box, other));
   for (const label of labels) {
     const slots = [...SLOTS.keys()].slice(0, label.near ? NEAR : SLOTS.length);
     const free = (n) => fits(boxAt(label, SLOTS[n]));
@@ -48,7 +48,7 @@ export function placedLabels(labels, obstacles, size, before = {}) {
     const last = before[label.key] ?? nearest;
     const slot = slots.includes(last) && SLOTS[last].ring <= SLOTS[nearest].ring + 1 && free(last) ? last : nearest;
     const box = boxAt(label, SLOTS[slot]);
-    taken.push(box);
+    occupied.push(box);
     placed[label.key] = { slot, left: box.left, top: box.top, line: slot < NEAR ? "" : lineTo(label, box) };
   }
   return placed;

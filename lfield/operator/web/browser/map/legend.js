@@ -24,28 +24,28 @@ function limits(vehicles) {
 }
 
 export default {
-  props: { team: Object, shown: Object, drawings: Array },
+  props: { team: Object, drawnKinds: Object, drawings: Array },
   template: `
   <ul class="legend" data-testid="legend" aria-label="Legend of the map">
     <li v-for="entry in entries" :key="entry.text" :data-testid="'legend-' + entry.kind"><svg viewBox="0 0 24 14" aria-hidden="true"><path :class="entry.kind" :d="entry.sign"/></svg>{{ entry.text }}</li>
   </ul>`,
   computed: {
     entries() {
-      const { team, shown, drawings } = this;
+      const { team, drawnKinds, drawings } = this;
       const found = [];
       const add = (kind, text, sign = SIGNS[kind]) => found.push({ kind, text, sign });
-      if (shown.track) add("track", "track");
+      if (drawnKinds.track) add("track", "track");
       for (const [kind, what] of Object.entries({ way: "plan", area: "area", inside: "fence, stay inside", outside: "fence, stay outside", rally: "rally points" })) {
         const named = files(drawings, kind);
         if (named) add(kind, `${what}: ${named}`);
       }
-      for (const text of limits(team.vehicles)) add("limit", text, shown.limit ? SIGNS.limit : "");
-      if (shown.edge) add("edge", "fence of the autopilot");
-      if (shown.home) add("home", "home");
-      if (shown.mind) add("mind", "coordinator");
-      if (shown.hop) add("hop", "hop of the last 20 s");
-      if (shown.dock) add("dock", "host without a vehicle");
-      if (shown.latched) add("latched", "in its safe state");
+      for (const text of limits(team.vehicles)) add("limit", text, drawnKinds.limit ? SIGNS.limit : "");
+      if (drawnKinds.edge) add("edge", "fence of the autopilot");
+      if (drawnKinds.home) add("home", "home");
+      if (drawnKinds.mind) add("mind", "coordinator");
+      if (drawnKinds.hop) add("hop", "hop of the last 20 s");
+      if (drawnKinds.dock) add("dock", "host without a vehicle");
+      if (drawnKinds.latched) add("latched", "in its safe state");
       return found;
     },
   },

@@ -72,7 +72,7 @@ export default {
       <button type="button" class="fit-all" @click="showAll" title="Show all vehicles">Fit</button>
       <p v-if="!placed.length" class="nowhere">No vehicle has reported a position.</p>
     </div>
-    <map-legend :team="team" :shown="shown" :drawings="isGeographic ? drawings : []"/>`,
+    <map-legend :team="team" :drawnKinds="drawnKinds" :drawings="isGeographic ? drawings : []"/>`,
   data: () => ({ moved: 0, isFollowing: true }),
   computed: {
     isGeographic() {
@@ -129,7 +129,7 @@ export default {
       return [...buttons, ...signs(this.placed, VEHICLE_SIGN - 2), ...signs([...this.coordinators, ...this.hostSigns], COORDINATOR_SIGN), ...signs(this.homes, HOME_SIGN)];
     },
     // What is drawn, for the legend.
-    shown() {
+    drawnKinds() {
       return {
         track: this.trackPaths.length, hop: this.hops.length, mind: this.coordinators.length, dock: this.hostSigns.length, home: this.homes.length,
         latched: this.placed.filter((v) => v.latched).length, limit: this.circles.filter((c) => c.kind === "limit").length,
@@ -147,11 +147,11 @@ export default {
       const coordinators = this.coordinators.map((c) => small(`c ${c.agent}`, `label-${c.agent}`, { mind: true, old: !c.fresh }, c, c.agent, COORDINATOR_SIGN));
       const hostSigns = this.hostSigns.map((dock) => small(`d ${dock.host}`, `label-${dock.host}`, { old: !dock.linked }, dock, dock.host, COORDINATOR_SIGN));
       const numbers = this.items.slice(0, MOST_NUMBERS).map((item) => small(`n ${item.key}`, null, { numbers: true }, item, String(item.number), ITEM_SIGN, true));
-      const wanted = [...vehicles, ...coordinators, ...hostSigns, ...numbers];
+      const candidates = [...vehicles, ...coordinators, ...hostSigns, ...numbers];
       const obstacles = [...this.obstacles, ...this.grid.labels.map(({ box }) => box)];
-      const found = placedLabels(wanted, obstacles, this.map.getSize(), this.slots);
+      const found = placedLabels(candidates, obstacles, this.map.getSize(), this.slots);
       this.slots = Object.fromEntries(Object.entries(found).map(([key, { slot }]) => [key, slot]));
-      return wanted.filter((label) => label.key in found).map((label) => ({ ...label, ...found[label.key] }));
+      return candidates.filter((label) => label.key in found).map((label) => ({ ...label, ...found[label.key] }));
     },
     hostSigns() {
       if (this.moved < 0 || !this.map) return [];
@@ -261,7 +261,7 @@ export default {
       const options = { minNativeZoom: this.tiles.min_zoom, maxNativeZoom: this.tiles.max_zoom, maxZoom: 24, referrerPolicy: "origin" };
       L.tileLayer(this.tiles.url, options).addTo(this.map);
       const credit = L.control.attribution({ prefix: false, position: "bottomleft" });
-      // The text comes from a file: shown as plain text, never as HTML.
+      // The text comes from a file: drawnKinds as plain text, never as HTML.
       const plain = document.createElement("i");
       plain.textContent = this.tiles.credit;
       if (this.tiles.credit) credit.addAttribution(plain.innerHTML).addTo(this.map);
