@@ -39,8 +39,8 @@ OPTIONS = {
 @pytest.fixture
 def steering(binding):
     def make(*, waivers=("device_watchdog",), **options):
-        given = {**OPTIONS, **options}
-        return binding("CanSignals", field="steering", options=given, waivers=list(waivers), ttl=1.0)
+        settings = {**OPTIONS, **options}
+        return binding("CanSignals", field="steering", options=settings, waivers=list(waivers), ttl=1.0)
 
     return make
 
@@ -53,8 +53,8 @@ def play(steering, monkeypatch):
     def run(story, *, fitted=None, **options):
         desk = Desk()
         fake = desk.fake("can", "--device", spec_of(steering(**(fitted or {}))))
-        made = msgspec.structs.replace(steering(**options), endpoint=fake.endpoint)
-        desk.run(lambda column: story(fake, column), made)
+        changed = msgspec.structs.replace(steering(**options), endpoint=fake.endpoint)
+        desk.run(lambda column: story(fake, column), changed)
 
     return run
 

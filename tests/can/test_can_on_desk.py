@@ -16,7 +16,7 @@ from lfield.testing.desk import Desk
 def play(story, *bindings, devices=(DRIVE,)):
     """A fake with devices, and the bound ones behind a guard: `story(fake, *members)`."""
     with closing(Desk()) as desk:
-        fake = desk.fake("can", *(word for device in devices for word in ("--device", device)))
+        fake = desk.fake("can", *(argument for device in devices for argument in ("--device", device)))
         desk.run(partial(story, fake), *(make(endpoint=fake.endpoint) for make in bindings))
 
 
@@ -61,11 +61,11 @@ def test_silent_devices_fail_their_motion_and_return(drive, odrive):
 
 def test_device_faults_are_described_and_reset(drive, odrive):
     async def story(fake, axis, wheel):
-        for device, node, words in ((axis, "5", "current"), (wheel, "3", "over-current")):
+        for device, node, sentence in ((axis, "5", "current"), (wheel, "3", "over-current")):
             await device.call("enable")
             fake.fault(f"overcurrent@{node}=true")
             fault = await device.reads("fault", lambda text: text != "")
-            assert words in fault
+            assert sentence in fault
             with pytest.raises(DeviceError, match=r"resetFault\(\) clears it"):
                 await device.call("setVelocity", 1.0)
             fake.fault(f"overcurrent@{node}=false")

@@ -34,8 +34,8 @@ GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 @asynccontextmanager
 async def team(door: str, *bindings, devices):
     """A fake with devices, and the bound ones behind a guard, at one of its endpoints."""
-    words = [word for device in devices for word in ("--device", device)]
-    with running_fake("can", *LISTEN, *words) as fake:
+    arguments = [argument for device in devices for argument in ("--device", device)]
+    with running_fake("can", *LISTEN, *arguments) as fake:
         endpoint = fake.ready_line[DOORS.index(door)]
         async with guarded(*(make(endpoint=endpoint) for make in bindings)) as members:
             yield fake, *members

@@ -221,14 +221,14 @@ class Lfield:
 
     def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
         """Start one process for each host, on its own port, without waiting."""
-        words = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
-        return {name: self.start(*words, "--host", name, **more) for name in names}
+        arguments = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
+        return {name: self.start(*arguments, "--host", name, **more) for name in names}
 
     def maps(self, names: list[str]) -> list[str]:
         """`--map` options with free ports of this computer for the hosts, which get keys for their links."""
         self.keys.give(*names)
         pairs = zip(names, self.ports.take(len(names)), strict=True)
-        return [word for name, port in pairs for word in ("--map", f"{name}=127.0.0.1:{port}")]
+        return [argument for name, port in pairs for argument in ("--map", f"{name}=127.0.0.1:{port}")]
 
     def left(self) -> list[int]:
         return processes_of(self.mark)

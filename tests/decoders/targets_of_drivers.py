@@ -244,9 +244,9 @@ def decode_false_drive_data(data: bytes) -> None:
 
 
 def _axis(options: dict[str, Any]) -> DeviceBinding:
-    given = {"limits": {"speed": 20.0}, "waivers": ["no_homing", "device_watchdog"], "ttl": 1.0}
+    settings = {"limits": {"speed": 20.0}, "waivers": ["no_homing", "device_watchdog"], "ttl": 1.0}
     return bind(
-        CAN, "CanAxis", agent="winch", field="axis", endpoint="virtual:test", options=options, **given
+        CAN, "CanAxis", agent="winch", field="axis", endpoint="virtual:test", options=options, **settings
     )
 
 

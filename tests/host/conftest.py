@@ -82,8 +82,8 @@ class Fleet:
         for ending, text in files.items():
             if text:
                 (self.folder / (name + ending)).write_text(text)
-        made = load_mission(self.folder / f"{name}.dL", simulate=simulate)
-        return made.with_bindings(replace(made.bindings, start=MissionStart(without)))
+        mission = load_mission(self.folder / f"{name}.dL", simulate=simulate)
+        return mission.with_bindings(replace(mission.bindings, start=MissionStart(without)))
 
     def make(self, mission: Mission, name: str, *, address: str = "", **options: Any) -> Running:
         """A host, not yet started. With `keeps` it has a journal, on its disk."""

@@ -29,9 +29,9 @@ DEPLOYMENT = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@carol\n//Guest:guest@brav
 
 async def fates_of(running, lost_after: float):
     """The outcome that each host reports; it stops then, as in a process."""
-    (fate,) = await wait_until_done(running.host, lost_after)
+    (outcome,) = await wait_until_done(running.host, lost_after)
     await running.host.stop()
-    return fate
+    return outcome
 
 
 async def all_fates(hosts, lost_after: float = 5.0):
@@ -49,8 +49,8 @@ async def test_one_cut_link_with_a_live_coordinator_is_no_loss(team, /, edge, wa
     if "&" in way:
         # Hosts cannot be called over the cut link, which returns in time.
         asyncio.get_running_loop().call_later(15.0, team.network.heal, *edge)
-    fates = await all_fates(hosts)
-    assert [fate.outcome for fate in fates] == ["done"] * 3, [running.log for running in hosts]
+    outcomes = await all_fates(hosts)
+    assert [outcome.outcome for outcome in outcomes] == ["done"] * 3, [running.log for running in hosts]
 
 
 @pytest.mark.parametrize("way", ["c", "b"], ids=["behind the cut", "at the neighbour"])
@@ -62,19 +62,21 @@ async def test_an_unreachable_host_is_named_with_the_seconds(team, /, way):
     alpha, *others = await all_fates(hosts)
     assert alpha.outcome == "unheard"
     assert re.search("bravo has been unreachable for [56] s$", alpha.detail)
-    assert [fate.outcome for fate in others] == ["done", "done"]
+    assert [outcome.outcome for outcome in others] == ["done", "done"]
 
 
 async def test_the_exit_of_a_host_process_is_proof_at_once(team, /):
     alpha, bravo, carol = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
     await team.until(lambda: carol.output)
     await carol.host.stop()
-    began = asyncio.get_running_loop().time()
+    started = asyncio.get_running_loop().time()
     for running in (alpha, bravo):
         running.host.dispatch(HostExited("carol"))
-    fates = await all_fates([alpha, bravo], lost_after=1000.0)
-    assert {(fate.outcome, fate.detail) for fate in fates} == {("lost", "its last host carol has ended")}
-    assert asyncio.get_running_loop().time() - began < 5.0
+    outcomes = await all_fates([alpha, bravo], lost_after=1000.0)
+    assert {(outcome.outcome, outcome.detail) for outcome in outcomes} == {
+        ("lost", "its last host carol has ended")
+    }
+    assert asyncio.get_running_loop().time() - started < 5.0
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.2, 0.4, 0.6, 0.8, 1.1])
@@ -87,10 +89,10 @@ async def test_proof_of_a_loss_reaches_all_hosts_before_its_finder_stops(team, /
     (carol,) = await team.up(mission, "carol")
     tasks = [asyncio.create_task(fates_of(hosts[1], 5.0)), asyncio.create_task(fates_of(carol, 5.0))]
     await asyncio.sleep(moment)
-    began = asyncio.get_running_loop().time()
-    fates = [await fates_of(hosts[0], 5.0), *[await task for task in tasks]]
-    assert [fate.outcome for fate in fates] == ["lost"] * 3, [running.log for running in hosts]
-    assert asyncio.get_running_loop().time() - began < 5.0
+    started = asyncio.get_running_loop().time()
+    outcomes = [await fates_of(hosts[0], 5.0), *[await task for task in tasks]]
+    assert [outcome.outcome for outcome in outcomes] == ["lost"] * 3, [running.log for running in hosts]
+    assert asyncio.get_running_loop().time() - started < 5.0
 
 
 async def test_a_host_that_is_silent_for_a_moment_is_waited_for(team, /):
@@ -99,7 +101,7 @@ async def test_a_host_that_is_silent_for_a_moment_is_waited_for(team, /):
     for other in ("alpha", "bravo"):
         team.network.partition(other, "carol")
     asyncio.get_running_loop().call_later(4.0, team.network.heal, "bravo", "carol")
-    assert [fate.outcome for fate in await all_fates(hosts, lost_after=10.0)] == ["done"] * 3
+    assert [outcome.outcome for outcome in await all_fates(hosts, lost_after=10.0)] == ["done"] * 3
 
 
 # The pipe from the parent process

@@ -59,19 +59,19 @@ class Bundles:
         self.another = bundle.encode(load_mission(place / "mission.dL"))
         self.team, self.other = Team(), Team()
         command = (Right.COMMAND,)
-        gone = self.team.person("rosa", *command)
+        person = self.team.person("rosa", *command)
         self.signers: dict[str, Keys | None] = {
             "commander": self.team.person("anna", *command),
             "operator": self.team.person("otto", Right.OPERATE),
             "host": self.team.host("bravo"),
             "ended": self.team.person("emil", *command, end=NOW - DAY),
-            "revoked": gone,
+            "revoked": person,
             "foreign": self.other.person("anna", *command),
             "selfsigned": self.team.with_(made("anna", [uri_of("person", "anna", command)])),
             "nobody": None,
         }
         keys = self.team.host("alpha")
-        keystore.write_keys(place / "alpha", replace(keys, revoked=self.team.revoked(1, gone)))
+        keystore.write_keys(place / "alpha", replace(keys, revoked=self.team.revoked(1, person)))
 
     def tried(self, who: str, what: str) -> bool:
         """Whether a host of the team runs the bundle."""
@@ -100,9 +100,9 @@ class Bundles:
 @cache
 def changed(data: bytes, part: str) -> bytes:
     """The bundle with one bit of a part changed such that it is a different, still valid bundle."""
-    dice = random.Random(part)
+    rng = random.Random(part)
     while True:
-        found = resealed(data, part, dice)
+        found = resealed(data, part, rng)
         try:
             bundle.decode(found)
         except BundleError:

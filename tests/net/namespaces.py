@@ -151,8 +151,8 @@ class Network:
 
     def start(self, host: str, *places: str) -> Process:
         """Start the links of a host; `places` are NAME=ADDRESS."""
-        words = [sys.executable, str(PEER), host, str(self._keys), *places]
-        return self.run(host, *words)
+        arguments = [sys.executable, str(PEER), host, str(self._keys), *places]
+        return self.run(host, *arguments)
 
     def run(self, host: str, *words: str) -> Process:
         """Run a program on a computer."""

@@ -20,43 +20,43 @@ from lfield.net.scheduling.handshake_scheduler import (
 
 
 def test_all_connections_are_kept_below_the_limit():
-    guests = ConnectionLimiter(3, random.Random(1))
-    assert [guests.admit(n, "here") for n in range(3)] == [None] * 3
-    guests.release(1)
-    guests.release(1)
-    guests.release("nobody")
-    assert guests.admit(3, "here") is None
-    assert guests.admit(4, "here") in (0, 2, 3)
+    clients = ConnectionLimiter(3, random.Random(1))
+    assert [clients.admit(n, "here") for n in range(3)] == [None] * 3
+    clients.release(1)
+    clients.release(1)
+    clients.release("nobody")
+    assert clients.admit(3, "here") is None
+    assert clients.admit(4, "here") in (0, 2, 3)
 
 
 def test_a_flood_from_one_address_displaces_only_its_own_connections():
-    guests = ConnectionLimiter(64, random.Random(1))
-    guests.admit("peer", "there")
-    pushed = [guests.admit(n, "here") for n in range(10_000)]
+    clients = ConnectionLimiter(64, random.Random(1))
+    clients.admit("peer", "there")
+    pushed = [clients.admit(n, "here") for n in range(10_000)]
     assert "peer" not in pushed
-    assert sum(who is not None for who in pushed) == 10_000 - 63
-    assert guests.admit("next peer", "elsewhere") not in (None, "peer")
+    assert sum(evicted is not None for evicted in pushed) == 10_000 - 63
+    assert clients.admit("next peer", "elsewhere") not in (None, "peer")
 
 
 @pytest.mark.few(0)
 def test_retries_at_the_address_of_a_flood_get_time_to_authenticate():
     """Thirty connections follow before the Hello of a peer is read: two of three attempts succeed."""
-    guests, through = ConnectionLimiter(64, random.Random(1)), 0
+    clients, through = ConnectionLimiter(64, random.Random(1)), 0
     for attempt in range(300):
         peer = f"peer {attempt}"
-        guests.admit(peer, "here")
-        pushed = [guests.admit((attempt, n), "here") for n in range(30)]
+        clients.admit(peer, "here")
+        pushed = [clients.admit((attempt, n), "here") for n in range(30)]
         through += peer not in pushed
-        guests.release(peer)
+        clients.release(peer)
     assert 150 < through < 250
 
 
 def test_the_last_free_place_displaces_one_connection_of_the_same_address():
-    guests = ConnectionLimiter(3, random.Random(1))
-    assert guests.admit("a", "field", last=True) is None
-    assert guests.admit("b", "field", last=True) == "a"
-    assert guests.admit("c", "field") is None
-    assert guests.admit("d", "elsewhere", last=True) in ("b", "c")
+    clients = ConnectionLimiter(3, random.Random(1))
+    assert clients.admit("a", "field", last=True) is None
+    assert clients.admit("b", "field", last=True) == "a"
+    assert clients.admit("c", "field") is None
+    assert clients.admit("d", "elsewhere", last=True) in ("b", "c")
 
 
 # Handshakes: a flood, and one peer that authenticates, in virtual time
@@ -127,14 +127,14 @@ class HandshakeHost:
 
 def seconds_to_authenticate(server: HandshakeHost, name: str, address: str) -> float:
     """The time that a peer needs that reconnects when it is closed, at most every 0.1 s."""
-    began, attempt = server.now, 0
+    started, attempt = server.now, 0
     while not any(isinstance(guest, str) and guest.startswith(name) for guest in server.proven):
         attempt += 1
         server.call(f"{name} {attempt}", address)
-        while server.is_connected(f"{name} {attempt}") and server.now < began + 60.0:
+        while server.is_connected(f"{name} {attempt}") and server.now < started + 60.0:
             server.run(server.now + 0.1)
-        assert server.now < began + 60.0
-    return server.now - began
+        assert server.now < started + 60.0
+    return server.now - started
 
 
 FLOODS = {

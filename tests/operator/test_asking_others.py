@@ -60,9 +60,9 @@ def answers(doors: Doors, places: Mapping[HostRef, str]) -> tuple[float, dict[Ho
     """The answers, and the time they take (s)."""
 
     async def main():
-        began = asyncio.get_running_loop().time()
+        started = asyncio.get_running_loop().time()
         found = await ask_all(doors, places, SNAPSHOT)
-        return asyncio.get_running_loop().time() - began, found
+        return asyncio.get_running_loop().time() - started, found
 
     return run_jumping(main())
 
@@ -121,8 +121,8 @@ def test_no_name_of_another_user_is_resolved():
 def test_claimed_hosts_of_one_user_are_one_line():
     names = {place: f"{place.run}/{place.host}" for place in (*claimed(9), *own(9), *claimed(2, "ann"))}
     found = {place: NoListener("x") for place in names}
-    said = list(unanswered_by_name(found, names))
-    assert said == [
+    lines = list(unanswered_by_name(found, names))
+    assert lines == [
         "9 hosts of mallory/tour-1",
         *(f"tour-1/h{number}" for number in range(9)),
         "ann/tour-1/h0",
@@ -162,10 +162,10 @@ def test_trusted_answers_come_before_those_of_other_users(doors, tmp_path):
 
 def test_answers_are_reported_while_another_host_is_still_asked(doors, monkeypatch):
     monkeypatch.setattr(client, "REPORT_AFTER", 0.05)
-    party = run_in(doors, 2)
-    gone = dict.fromkeys(["h1"], f"unix:{doors}/nobody.sock")
-    party = TargetTeam(party.runs, {**party.addresses, **gone})
-    turns = ask_in_turn([party], Request(SNAPSHOT.message, EventBatch, 0.5))
+    target = run_in(doors, 2)
+    unreachable = dict.fromkeys(["h1"], f"unix:{doors}/nobody.sock")
+    target = TargetTeam(target.runs, {**target.addresses, **unreachable})
+    turns = ask_in_turn([target], Request(SNAPSHOT.message, EventBatch, 0.5))
     first = next(turns)
     assert [(place.host, type(answer)) for place, answer in first.items()] == [("h1", NoListener)]
     (rest,) = turns
@@ -175,18 +175,18 @@ def test_answers_are_reported_while_another_host_is_still_asked(doors, monkeypat
 @pytest.mark.few(0)
 async def test_links_that_end_while_connecting_leave_no_pending_futures(doors):
     """Python itself prints a future with an unread exception on stderr."""
-    said: list[str] = []
+    lines: list[str] = []
 
     class Ending(TcpTransport):
         async def connect(self, address, handler, host=""):
             handler.on_closed(None, NoListener(address))
             raise AddressError(address, "no answer within 2 s")
 
-    asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: lines.append(context["message"]))
     found = await ask_all(Ending(1 << 20), {"a": f"unix:{doors}/x.sock"}, SNAPSHOT)
     # An error keeps its traceback.
     kinds = [type(answer) for answer in found.values()]
     del found
     gc.collect()
     assert kinds == [AddressError]
-    assert said == []
+    assert lines == []

@@ -64,9 +64,9 @@ class Alpha:
 
 @pytest.fixture
 def ring(tmp_path):
-    made = Keyring(tmp_path / "keys")
-    made.give("alpha", "bravo")
-    return made
+    keyring = Keyring(tmp_path / "keys")
+    keyring.give("alpha", "bravo")
+    return keyring
 
 
 def asked(
@@ -81,9 +81,9 @@ def asked(
 
     async def story():
         transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / own, "host")))
-        door = f"unix:{ring.folder}/door"
-        listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", door)]
-        target = TargetTeam((), {"alpha": listeners[0].address, "here": door})
+        address = f"unix:{ring.folder}/door"
+        listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", address)]
+        target = TargetTeam((), {"alpha": listeners[0].address, "here": address})
         try:
             answers = await asyncio.to_thread(client.ask_teams, [target], request, keys)
         finally:
@@ -177,7 +177,11 @@ def test_a_command_brings_the_revocation_list_along(ring):
     )
     host = Alpha()
     asked(ring, keys=ring.folder, host=host)
-    (brought,) = [said for who, said in host.heard if isinstance(said, RevocationUpdate) and who == "anna"]
+    (brought,) = [
+        expected
+        for caller, expected in host.heard
+        if isinstance(expected, RevocationUpdate) and caller == "anna"
+    ]
     assert revoked_in(brought.list, ring.issue("host", "x").authority).number == 3
 
 
@@ -200,14 +204,14 @@ def test_root_reaches_a_host_that_another_user_runs(other_user, request_):
 def test_a_user_does_not_trust_a_host_of_a_third_user(other_user, monkeypatch):
     real = os.geteuid
     monkeypatch.setattr("lfield.net.peer_credentials.os.geteuid", lambda: real() or 1001)
-    heard: list[object] = []
-    answer = asked_of(other_user, client.emergency_stop("fire"), heard)
+    messages: list[object] = []
+    answer = asked_of(other_user, client.emergency_stop("fire"), messages)
     assert isinstance(answer, HandshakeError)
     assert str(answer) == (
         "handshake refused: the host is run by user 12347 of this computer, and a command trusts only "
         "its own user, root, and the group 'lfield': use sudo, if it is a host of yours"
     )
-    assert heard == []
+    assert messages == []
     for believed in (0, 1001):
         assert asked_of(believed, client.SNAPSHOT) == SNAPSHOT
 

@@ -79,4 +79,4 @@ def test_a_command_prints_of_a_running_team_what_it_did(golden, team: SimulatedT
 
 
 def test_the_golden_file_has_no_other_stories(golden) -> None:
-    golden("running team").has_only([story.__name__ for story in STORIES])
+    golden("running team").has_only([scenario.__name__ for scenario in STORIES])

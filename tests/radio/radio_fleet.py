@@ -40,9 +40,9 @@ class RadioFleet:
     def up(self, *hosts: str) -> None:
         """Start the services of some hosts, by default of all, and wait until all answer."""
         for host in hosts or HOSTS:
-            words = ["service", "--host", host, "--state", str(self.folder / f"state-{host}")]
+            arguments = ["service", "--host", host, "--state", str(self.folder / f"state-{host}")]
             self.services[host] = self._start(
-                host, *words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                host, *arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
             )
         end = time.monotonic() + 60
         while self.desk("status").wait(60):

@@ -34,5 +34,5 @@ def test_a_story_is_replayed(seed, monkeypatch):
 
 
 def test_a_story_is_the_same_with_and_without_a_recorder():
-    story = draw_scenario(301)
-    assert run_scenario(story).digest == run_scenario(story, record=RecordingMemory()).digest
+    scenario = draw_scenario(301)
+    assert run_scenario(scenario).digest == run_scenario(scenario, record=RecordingMemory()).digest

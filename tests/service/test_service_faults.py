@@ -60,9 +60,9 @@ async def test_bound_host_asks_the_others_until_the_result_is_known() -> None:
     await asyncio.sleep(2 * RESOLVE_EVERY)
     assert robot.service.activation.active == NEW
     assert not any(query.closes for query in bravo.queries)
-    asked = len(bravo.queries)
+    query_count = len(bravo.queries)
     await asyncio.sleep(CLOSE_AFTER)
-    assert len(bravo.queries) == asked
+    assert len(bravo.queries) == query_count
     task.cancel()
 
 

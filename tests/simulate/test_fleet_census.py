@@ -112,8 +112,8 @@ def test_an_unreachable_host_is_unheard_with_or_without_the_walker(tmp_path, way
         fleet.cut("alpha", other)
     fleet.run(80.0)
     assert outcomes(fleet) == {"alpha": "unheard", "bravo": "done", "carol": "done"}
-    (told,) = [text for _, host, text in fleet.log if host == "alpha" and "outcome unknown" in text]
-    assert "has been unreachable for" in told
+    (line,) = [text for _, host, text in fleet.log if host == "alpha" and "outcome unknown" in text]
+    assert "has been unreachable for" in line
 
 
 def test_a_chain_of_hosts_reports_the_end_at_its_far_side(tmp_path):
@@ -180,16 +180,16 @@ def test_under_random_faults_no_loss_is_reported_while_a_copy_lives(tmp_path, se
 @pytest.mark.few(0)
 def test_losses_are_reported_under_random_faults(tmp_path):
     """Shows that the check above has cases to check."""
-    told = set()
+    observed = set()
     for seed in range(12):
         way = mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5"))
         fleet = Fleet(way, seed, options=FleetOptions(unreachable_after=2.0, lost_after=4.0, keeps=False))
         ROUGH.inject(fleet, random.Random(seed))
         fleet.run(100.0)
-        told |= set(outcomes(fleet).values())
-        if {"lost", "unheard"} <= told:
+        observed |= set(outcomes(fleet).values())
+        if {"lost", "unheard"} <= observed:
             return
-    raise AssertionError(told)
+    raise AssertionError(observed)
 
 
 def test_a_judge_that_counts_a_silent_host_as_lost_is_found(tmp_path, monkeypatch):
@@ -228,8 +228,8 @@ def test_after_a_crash_a_coordinator_continues_as_the_same_start(tmp_path):
         fleet.run(5.0)
         assert generations(fleet) == {1}
         # Its portals change nothing, so only its start was stored.
-        told = [text for _, _, text in fleet.log if text.startswith("walker restarted: ")]
-        assert len(told) == number
+        lines = [text for _, _, text in fleet.log if text.startswith("walker restarted: ")]
+        assert len(lines) == number
 
 
 def test_a_later_run_counts_on_from_the_disk(tmp_path):
@@ -256,8 +256,8 @@ def test_a_host_with_a_new_disk_waits_for_all_and_learns_of_its_live_coordinator
     fleet.boot("alpha")
     fleet.run(30.0)
     assert "walker" not in fleet.runs["alpha"].core.machine.agents
-    why = "walker not started: this host has no record of earlier starts, and bravo has to answer first"
-    assert [host for _, host, text in fleet.log if text.startswith(why)] == ["alpha"]
+    reason = "walker not started: this host has no record of earlier starts, and bravo has to answer first"
+    assert [host for _, host, text in fleet.log if text.startswith(reason)] == ["alpha"]
     fleet.boot("bravo")
     fleet.run(3.0)
     assert "walker not started again: it is alive on another host" in [
@@ -271,8 +271,8 @@ def test_a_start_that_cannot_be_stored_does_not_begin(tmp_path):
     fleet.disks["alpha"].full, fleet.disks["alpha"].reserve = True, 0
     fleet.run(5.0)
     assert generations(fleet) == set()
-    (told,) = [text for _, host, text in fleet.log if host == "alpha" and "journal write failed" in text]
-    assert "no space is left" in told
+    (line,) = [text for _, host, text in fleet.log if host == "alpha" and "journal write failed" in text]
+    assert "no space is left" in line
     fleet.disks["alpha"].full = False
     fleet.run(20.0)
     assert generations(fleet) == {1}

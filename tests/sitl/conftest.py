@@ -110,8 +110,8 @@ class Field:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
-        words = ("--deploy", mission.deploy, "--host", "here", "--map", f"here=127.0.0.1:{port}")
-        return self.lfield("up", *words, *options)
+        arguments = ("--deploy", mission.deploy, "--host", "here", "--map", f"here=127.0.0.1:{port}")
+        return self.lfield("up", *arguments, *options)
 
     @contextmanager
     def rest_of_team(self, example: str) -> Iterator[None]:

@@ -40,9 +40,9 @@ async def moves(servo):
 
 
 def test_a_story_has_guarded_devices_and_returns_its_result(desk, servo):
-    began = desk.clock.monotonic()
+    started = desk.clock.monotonic()
     ended = desk.run(moves, servo)
-    assert 1.0 < ended - began < 3.0
+    assert 1.0 < ended - started < 3.0
     assert 1.0 < desk.now < 5.0
 
 
@@ -89,9 +89,9 @@ def test_an_exception_and_a_timeout_of_a_story_are_raised(desk, servo):
 
 
 def test_a_missing_device_is_reported_as_by_lfield_kit(desk, servo):
-    nobody = bind(PLUGIN, "Dynamixel", endpoint="serial:/dev/none:57600", options={"id": 1})
+    unused = bind(PLUGIN, "Dynamixel", endpoint="serial:/dev/none:57600", options={"id": 1})
     with pytest.raises(DevicesError, match="No such file or directory"):
-        desk.try_kit(nobody)
+        desk.try_kit(unused)
 
 
 def test_two_fakes_cannot_have_one_port(desk, fake):
@@ -182,8 +182,8 @@ def test_a_fake_without_serve_and_a_failing_fake_are_reported(desk):
 
 def test_a_real_endpoint_is_refused(desk):
     async def story():
-        with socket.socket() as door:
-            door.connect(("127.0.0.1", 9))
+        with socket.socket() as listener:
+            listener.connect(("127.0.0.1", 9))
 
     with pytest.raises(RealEndpoint, match="it tried to connect"):
         desk.run(story)

@@ -103,11 +103,11 @@ class Walk:
     @property
     def returns(self) -> int:
         """The number of moves to a file that the hop was in before."""
-        seen: set[str] = set()
+        observed: set[str] = set()
         count, last = 0, ""
         for file, _ in self.calls:
-            count += file != last and file in seen
-            seen.add(file)
+            count += file != last and file in observed
+            observed.add(file)
             last = file
         return count
 
@@ -289,9 +289,9 @@ def main() -> None:
     print(f"{'network':<11}{'journals':<10}{'calls':>7}{'files':>7}{'moves':>7}{'returns':>9}")
     for simulated, journals in product((False, True), repeat=2):
         least = shortest(simulated=simulated, journals=journals)
-        network, kept = "simulated" if simulated else "TCP", "yes" if journals else "no"
+        network, journaled = "simulated" if simulated else "TCP", "yes" if journals else "no"
         print(
-            f"{network:<11}{kept:<10}{len(least.calls):>7}{least.files:>7}{least.moves:>7}{least.returns:>9}"
+            f"{network:<11}{journaled:<10}{len(least.calls):>7}{least.files:>7}{least.moves:>7}{least.returns:>9}"
         )
         for file, function in least.calls if listed else ():
             print(f"    {file:<32} {function}")

@@ -32,16 +32,16 @@ async def main(folder: str, count: int) -> None:
     agents["pilot"] = TeamEntry("pilot", "Pilot", "h0", "coordinator")
     roll = TeamContents("bench", hosts, agents, {f"v{n}.fc": Instruments(moves=True) for n in range(count)})
     clock = SystemClock()
-    shown = TeamWatch(roll, clock)
+    watch = TeamWatch(roll, clock)
 
     async def reach(host: str) -> str:
         return f"unix:{folder}/{host}.sock"
 
-    page = ServedPage("bench", shown, NoOrders(), clock)  # type: ignore[arg-type]
+    page = ServedPage("bench", watch, NoOrders(), clock)  # type: ignore[arg-type]
     await asyncio.gather(
         serve(page, await local_site(0, print), lambda link: print(link, flush=True)),
-        shown.tick(),
-        EventFollower(observer_transport(), hosts, reach, shown, clock, FollowOptions(telemetry=RATE)).run(),
+        watch.tick(),
+        EventFollower(observer_transport(), hosts, reach, watch, clock, FollowOptions(telemetry=RATE)).run(),
     )
 
 

@@ -53,8 +53,8 @@ print(time.monotonic() - begun)
 
 def rows(checkout: Checkout, samples: int, tick: Tick) -> Iterator[Row]:
     """The rows of all cells, or of those that $CELLS names."""
-    if why := missing():
-        yield Row("push", "", error=why)
+    if reason := missing():
+        yield Row("push", "", error=reason)
         return
     for cell in chosen("CELLS", PUSH_CELLS):
         try:
@@ -75,19 +75,19 @@ def _cell(cell: str, samples: int, tick: Tick) -> Iterator[Row]:
         radio.set(CELLS[cell])
         pushes: list[float] = []
         sent: list[float] = []
-        whole: list[float] = []
+        push_seconds: list[float] = []
         for number in range(samples):
             tick(f"{cell}, push {number + 1}")
             mission = fleet.mission(LINES, last=f"change {number}")
             radio.reset()
-            begun = time.monotonic()
+            started = time.monotonic()
             done = result_of(fleet.desk("push", mission, "--json"), PATIENCE)
             assert done["outcome"] == "activated", done
-            pushes.append(time.monotonic() - begun)
+            pushes.append(time.monotonic() - started)
             sent.append(radio.total(SERVICE).bytes)
-            whole.append(_whole(radio, size))
+            push_seconds.append(_whole(radio, size))
     yield Row(cell, "lfield push: built, sent, voted, active", samples=pushes)
-    yield Row("", "TCP: the whole bundle, received", samples=whole)
+    yield Row("", "TCP: the whole bundle, received", samples=push_seconds)
     yield Row("", "bytes on the air of a push to both", COUNT, sent)
     yield Row("", "bytes of the bundle", COUNT, [size])
 

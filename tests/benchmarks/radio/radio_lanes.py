@@ -76,8 +76,8 @@ class StopLane(Lane):
 
     def start(self, cell: str, skip: int = 0) -> None:
         super().start(cell, skip)
-        for kept in (self.sizes, self.idle, self.again):
-            kept.clear()
+        for samples in (self.sizes, self.idle, self.again):
+            samples.clear()
 
     def on_line(self, line: str) -> None:
         if line.startswith("again: "):

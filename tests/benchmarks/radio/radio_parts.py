@@ -87,12 +87,12 @@ def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[R
     """A stop of teams of one and of five hosts, by the command and the page, compared with small requests."""
     for hosts in map(int, chosen("HOSTS", ("1", "5"))):
         for way in chosen("WAYS", ("command", "watch open", "page")):
-            case, shown = f"stop of {hosts}, {cell}", f"lfield, {way}"
+            case, label = f"stop of {hosts}, {cell}", f"lfield, {way}"
             tick(f"{case}, {way}")
             try:
                 yield from _stops(checkout, samples, cell, hosts, way)
             except Exception as error:
-                yield Row(case, shown, error=sentence(error))
+                yield Row(case, label, error=sentence(error))
     starters = {
         name: peers(checkout, STOP_PEERS[name][0], ORDER, fresh=STOP_PEERS[name][1])
         for name in chosen("PEERS", tuple(STOP_PEERS))
@@ -134,13 +134,13 @@ def outages(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator
             for case, delays in _interruptions(every, tick):
                 for (name, _), delay in zip(lanes, delays, strict=True):
                     found.setdefault((f"{case}, {cell}", name), []).append(delay)
-    shown = ""
+    label = ""
     for (case, name), delays in found.items():
         there = [delay for delay in delays if delay < WITHIN]
-        yield Row("" if case == shown else case, name, samples=there)
+        yield Row("" if case == label else case, name, samples=there)
         if late := len(delays) - len(there):
             yield Row("", f"{name}: not within {WITHIN:g} s", COUNT, [late])
-        shown = case
+        label = case
 
 
 def _interruptions(lanes: Sequence[Lane], tick: Tick) -> Iterator[tuple[str, list[float]]]:
@@ -188,26 +188,26 @@ def _bytes_per_second(radio: Radio, name: str = "") -> float:
     """Bytes per second of the whole radio, or to and from one end."""
     time.sleep(SETTLES)
     radio.reset()
-    begun = time.monotonic()
+    started = time.monotonic()
     time.sleep(AT_REST)
     flows = radio.counts().items()
     sent = sum(count.bytes for flow, count in flows if not name or name in (flow.source, flow.to))
-    return sent / (time.monotonic() - begun)
+    return sent / (time.monotonic() - started)
 
 
 def _compared(case: str, starters: dict[str, Starter], samples: int, tick: Tick, cell: str) -> Iterator[Row]:
     """The contenders in sequence, each with its own lanes."""
-    shown = case
+    label = case
     for name, start in starters.items():
         tick(f"{case}, {name}")
         try:
             with Processes() as processes:
                 lanes = start(processes, _seeds(cell, samples, LANES))
-                yield Row(shown, name, samples=collect(lanes, cell, samples, WARM_UP))
+                yield Row(label, name, samples=collect(lanes, cell, samples, WARM_UP))
         except Exception as error:
             yield Row(case, name, error=sentence(error))
         else:
-            shown = ""
+            label = ""
 
 
 def _seeds(cell: str, samples: int, most: int) -> range:

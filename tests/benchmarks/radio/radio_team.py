@@ -58,7 +58,7 @@ class RadioTeam:
     def mission(self) -> list[str]:
         """Arguments for a command: the bundle, and the addresses of the hosts."""
         addresses = {host: self.radio[host].address for host in self._prepared.hosts}
-        maps = [word for host, at in addresses.items() for word in ("--map", f"{host}={at}:{PORT}")]
+        maps = [argument for host, at in addresses.items() for argument in ("--map", f"{host}={at}:{PORT}")]
         return [str(self._prepared.bundle), *maps]
 
     def _network(self, host: str) -> list[str]:
@@ -94,8 +94,8 @@ class RadioTeam:
         journal = "--state", str(self._folder / host / "kept")
         memory = journal if self._kept else self._prepared.checkout.keeping_nothing
         simulated = ("--sim",) if self._prepared.simulated else ()
-        words = str(self._prepared.bundle), *self._network(host), "--host", host, *memory, *simulated
-        return self._start(host, "-m", "lfield", "up", *words)
+        arguments = str(self._prepared.bundle), *self._network(host), "--host", host, *memory, *simulated
+        return self._start(host, "-m", "lfield", "up", *arguments)
 
     def _start(self, name: str, *words: str) -> Child:
         own = self._folder / name

@@ -48,7 +48,7 @@ def measure(checkout: Checkout, hosts: int) -> Round:
         mission = write_mission(processes.folder(), hosts)
         options = ("--all", "--volatile", "--no-record")
         up = checkout.lfield(processes, "up", str(mission), *options, *_maps(hosts), merged=True)
-        took = _await_links(up, hosts)
+        elapsed = _await_links(up, hosts)
         folders = _children(up.pid)
         started = sum(map(processor_seconds, folders))
         memory = [_memory(folder) for folder in folders]
@@ -59,7 +59,7 @@ def measure(checkout: Checkout, hosts: int) -> Round:
         up.ask_to_end()
         up.ended(PATIENCE)
         return {
-            ALL_LINKED: [took],
+            ALL_LINKED: [elapsed],
             STARTED: [started / hosts],
             AT_REST: [100 * spent / seconds / hosts],
             RESIDENT: [sum(rss for rss, _ in memory) / hosts],
@@ -80,7 +80,9 @@ def _maps(hosts: int) -> list[str]:
     ports = set[int]()
     while len(ports) < hosts:
         ports.add(free_port())
-    return [word for n, port in enumerate(sorted(ports)) for word in ("--map", f"h{n}=127.0.0.1:{port}")]
+    return [
+        argument for n, port in enumerate(sorted(ports)) for argument in ("--map", f"h{n}=127.0.0.1:{port}")
+    ]
 
 
 def _await_links(up: Child, hosts: int) -> float:
@@ -112,9 +114,9 @@ def _memory(folder: Path) -> tuple[float, float]:
 def _command(checkout: Checkout, mission: Path, name: str) -> float:
     """Seconds of a whole command."""
     _, verb, *options = name.split()
-    words = [checkout.python, "-m", "lfield", verb, str(mission), *options]
+    arguments = [checkout.python, "-m", "lfield", verb, str(mission), *options]
     start = time.perf_counter()
-    subprocess.run(words, env=checkout.environment, stdout=subprocess.DEVNULL, check=True)
+    subprocess.run(arguments, env=checkout.environment, stdout=subprocess.DEVNULL, check=True)
     return time.perf_counter() - start
 
 

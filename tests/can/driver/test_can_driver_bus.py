@@ -130,15 +130,15 @@ class Stub(can.BusABC):
 @pytest.fixture
 def stub(monkeypatch):
     """Make the next buses stubs; returns the list of the stubs that were opened."""
-    made: list[Stub] = []
+    stubs: list[Stub] = []
 
     def install(send=lambda bus, message: None):
         def make(**_):
-            made.append(Stub(send))
-            return made[-1]
+            stubs.append(Stub(send))
+            return stubs[-1]
 
         monkeypatch.setattr(connection.can, "Bus", make)
-        return made
+        return stubs
 
     return install
 
@@ -319,10 +319,10 @@ def test_frames_are_sent_in_socketcand_syntax(server):
         bench.bus.post(Frame(0x34, b"", extended=True))
         with pytest.raises(DeviceError, match="does not support CAN FD"):
             await bench.bus.send(Frame(1, bytes(16), fd=True))
-        wanted, got = b"< send 012 2 01 ab >< send 00000034 0  >", b""
-        while len(got) < len(wanted):
+        expected, got = b"< send 012 2 01 ab >< send 00000034 0  >", b""
+        while len(got) < len(expected):
             got += await asyncio.to_thread(peer.recv, 256)
-        assert got == wanted
+        assert got == expected
 
     run(server.endpoint, story)
 

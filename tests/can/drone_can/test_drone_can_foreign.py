@@ -32,8 +32,8 @@ def test_foreign_client_allocates_ids_reads_and_commands_simulated_nodes():
         f"dronecan:42,dynamic=yes,uid={UNIQUE_ID},functions=servo:0+esc:1",
         "dronecan:40,functions=battery:0",
     )
-    words = [word for device in devices for word in ("--device", device)]
-    with running_fake("can", "--listen", "slcan-pty", *words) as fake:
+    arguments = [argument for device in devices for argument in ("--device", device)]
+    with running_fake("can", "--listen", "slcan-pty", *arguments) as fake:
         port = fake.endpoint.removesuffix("@115200")
         node = dronecan.make_node(port, node_id=126, bitrate=1_000_000)
         monitor = dronecan.app.node_monitor.NodeMonitor(node)

@@ -18,9 +18,9 @@ UNIQUE_ID = "00112233445566778899aabbccddeeff"
 @pytest.fixture
 def node(binding):
     def make(kind, *, waivers=("device_watchdog",), safe_state="hold", **options):
-        given = {"safe_state": safe_state, "waivers": list(waivers)} if kind == "DroneCanServo" else {}
+        settings = {"safe_state": safe_state, "waivers": list(waivers)} if kind == "DroneCanServo" else {}
         field = f"{kind[8:].lower()}{options['node']}_{options.get('index', 0)}"
-        return binding(kind, field=field, options=options, **given)
+        return binding(kind, field=field, options=options, **settings)
 
     return make
 
@@ -31,7 +31,7 @@ def play(story, *bindings):
     for each in bindings:
         text = spec_of(each)
         specs[parse(text).id] = merged(specs.get(parse(text).id, text), text)
-    fake = desk.fake("can", *(word for text in specs.values() for word in ("--device", text)))
+    fake = desk.fake("can", *(argument for text in specs.values() for argument in ("--device", text)))
     made = [msgspec.structs.replace(each, endpoint=fake.endpoint) for each in bindings]
     desk.run(lambda *devices: story(fake, *devices), *made)
 
@@ -78,8 +78,8 @@ def test_nodes_get_the_node_id_of_their_unique_id(node):
         await servo.call("moveTo", -0.4)
         assert servo.query("position") == pytest.approx(-0.4, abs=0.02)
         assert battery.query("charge") > 0.9
-        given = [note for note in servo.notes if "node id" in note]
-        assert any(f"node id 42 assigned to the unique id {UNIQUE_ID}" in note for note in given)
+        notes = [note for note in servo.notes if "node id" in note]
+        assert any(f"node id 42 assigned to the unique id {UNIQUE_ID}" in note for note in notes)
         fake.fault("silence@42=true")
         await servo.until_note("link lost")
         fake.fault("silence@42=false")
@@ -144,6 +144,6 @@ def test_absent_dronecan_node_is_an_error(node, options, words):
 
     desk = Desk()
     fake = desk.fake("can", "--device", "dronecan:42")
-    made = msgspec.structs.replace(node("DroneCanServo", connect=2.0, **options), endpoint=fake.endpoint)
+    changed = msgspec.structs.replace(node("DroneCanServo", connect=2.0, **options), endpoint=fake.endpoint)
     with pytest.raises(DevicesError, match=words):
-        desk.run(story, made)
+        desk.run(story, changed)

@@ -107,8 +107,8 @@ def test_precedence_of_two_statements_follows_the_table(
     tmp_path: Path, row: str, column: str, answer: str
 ) -> None:
     stated = sorted({row, column})
-    said = next((VALUES[place] for place in stated if place in NEVER), None)
-    load = None if said is None else Observation(said, ManualClock().monotonic() - 0.4)
+    value = next((VALUES[place] for place in stated if place in NEVER), None)
+    load = None if value is None else Observation(value, ManualClock().monotonic() - 0.4)
     assert payload(registry_of(tmp_path, stated), stated, load) == VALUES[answer]
 
 

@@ -93,8 +93,8 @@ def composition(
 ) -> Composition:
     """A one-to-many rule; a need is a primitive, or one with its condition."""
     made = {}
-    for need, wanted in needs.items():
-        primitive, when = (wanted, "") if isinstance(wanted, str) else wanted
+    for need, requirement in needs.items():
+        primitive, when = (requirement, "") if isinstance(requirement, str) else requirement
         made[need] = Need(need, primitive, NOWHERE, when=constraint_of(when) if when else None)
     return Composition(
         name,

@@ -28,12 +28,12 @@ def test_an_error_of_the_operating_system_has_its_status(
 
 
 def test_a_deleted_working_folder_is_reported(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    with pytest.raises(FileNotFoundError) as caught:
+    missing = tmp_path / "gone"
+    missing.mkdir()
+    monkeypatch.chdir(missing)
+    missing.rmdir()
+    with pytest.raises(FileNotFoundError) as raised:
         os.getcwd()
-    error = system_refusal(caught.value)
+    error = system_refusal(raised.value)
     assert (error.exit_status, error.code) == (exit_status.NO_INPUT, "operating-system")
     assert "deleted" in str(error)

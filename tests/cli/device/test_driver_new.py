@@ -82,9 +82,9 @@ def endpoint(site):
 @pytest.mark.few(0)
 def test_a_new_driver_passes_the_kit_on_its_own_fake(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--silence", "2")
-    said, _ = kit.communicate()
-    assert kit.returncode == 0, said
-    assert "13 passed, 0 failed, 0 not run" in said
+    output, _ = kit.communicate()
+    assert kit.returncode == 0, output
+    assert "13 passed, 0 failed, 0 not run" in output
 
 
 def test_the_kit_detects_a_fault_of_a_new_driver(site, monkeypatch):
@@ -106,17 +106,17 @@ def test_a_failed_check_sets_the_exit_status(site, endpoint):
     # The distance is below the minimum of the check, which is refused immediately.
     short = ("--set", "ttl=0.2", "--set", "limits={value: 0.05}")
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", *short, "--silence", "0.5")
-    said, _ = kit.communicate()
-    assert kit.returncode == 1, said
-    assert "FAILED  kit.device: moves and reports its position" in said
+    output, _ = kit.communicate()
+    assert kit.returncode == 1, output
+    assert "FAILED  kit.device: moves and reports its position" in output
 
 
 @pytest.mark.few(0)
 def test_without_consent_nothing_moves(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--silence", "2", stdin=subprocess.DEVNULL)
-    said, _ = kit.communicate()
-    assert kit.returncode == 0, said
-    assert "4 passed, 0 failed, 9 not run" in said
+    output, _ = kit.communicate()
+    assert kit.returncode == 0, output
+    assert "4 passed, 0 failed, 9 not run" in output
 
 
 def errors(plugins, program):

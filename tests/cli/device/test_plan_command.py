@@ -121,9 +121,9 @@ def test_unreadable_plan_files_are_refused(plan, tmp_path):
 def test_plan_show_draws_pictures(plan, tmp_path, file, texts):
     out = tmp_path / "f.svg"
     assert plan("show", file, "--out", out)[0] == exit_status.DONE
-    shown = [element.text for element in ET.parse(out).iter() if element.text and element.text.strip()]
-    assert set(texts) <= set(shown)
-    assert any(text.startswith("a square is") for text in shown)
+    labels = [element.text for element in ET.parse(out).iter() if element.text and element.text.strip()]
+    assert set(texts) <= set(labels)
+    assert any(text.startswith("a square is") for text in labels)
 
 
 def test_a_plan_without_a_position_has_no_picture(plan, tmp_path):

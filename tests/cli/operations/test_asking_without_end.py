@@ -110,18 +110,20 @@ def flood(address: str, tls: TlsIdentity | None) -> Iterator[None]:
 def test_endless_requests_delay_neither_a_flight_nor_a_link_nor_a_stop(lfield, alone, way):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     maps = lfield.maps(["alpha", "bravo"])
-    words = ("--deploy", deployment, *maps)
-    hosts = [lfield.start("up", *words, "--host", name, "--sim", env=alone) for name in ("alpha", "bravo")]
+    arguments = ("--deploy", deployment, *maps)
+    hosts = [
+        lfield.start("up", *arguments, "--host", name, "--sim", env=alone) for name in ("alpha", "bravo")
+    ]
     hosts[1].wait_for("is seen$")
-    (door,) = Path(alone["XDG_RUNTIME_DIR"]).rglob("alpha.sock")
+    (address,) = Path(alone["XDG_RUNTIME_DIR"]).rglob("alpha.sock")
     keys = lfield.keys.issue("person", "anna", Right.OBSERVE)
     at_tls = maps[1].partition("=")[2], TlsIdentity(keys)
-    with flood(*(at_tls if way == "TLS" else (str(door), None))):
+    with flood(*(at_tls if way == "TLS" else (str(address), None))):
         time.sleep(4.0)
-        told = [line for host in hosts for line in (*host.out, *host.err) if BROKEN.search(line)]
-        assert told == []
-        began = time.monotonic()
-        pressed = lfield("estop", *words, "--no-wait", env=alone)
-        print(f"pressed and confirmed in {time.monotonic() - began:.1f} s")
+        broken_lines = [line for host in hosts for line in (*host.out, *host.err) if BROKEN.search(line)]
+        assert broken_lines == []
+        started = time.monotonic()
+        pressed = lfield("estop", *arguments, "--no-wait", env=alone)
+        print(f"pressed and confirmed in {time.monotonic() - started:.1f} s")
         assert lfield.status(pressed) == 0, pressed.said
         assert pressed.out[0] == "alpha: lead.fc: safe"

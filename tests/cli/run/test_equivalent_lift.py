@@ -32,10 +32,10 @@ def shown(lfield, alone, *words: str) -> str:
 
 @pytest.mark.few(0)
 def test_the_best_then_the_equivalent_then_the_composed_then_no_lift(lfield, alone):
-    said = shown(lfield, alone, str(DEMO))
-    runs = re.split(r"^Run \d: .*$", said, flags=re.M)[1:]
+    output = shown(lfield, alone, str(DEMO))
+    runs = re.split(r"^Run \d: .*$", output, flags=re.M)[1:]
     lifts = [lifts_of(run) for run in runs]
-    assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], said
+    assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], output
     # Crane and arm are exact, a copter is not.
     assert [height for lift in lifts for host, height in lift if host != "air"] == ["0.8", "0.8"]
     assert "(direct, " in runs[0]

@@ -113,9 +113,9 @@ def test_a_cut_link_to_a_live_coordinator_is_no_loss(lfield, proxies):
         at = {name: f"127.0.0.1:{port}" for name, port in ports.items()}
         if host == "alpha":
             at["carol"] = proxy.address
-        maps = [word for name, address in at.items() for word in ("--map", f"{name}={address}")]
-        words = ("up", "--deploy", deployment, "--host", host, *maps, "--until-done", "--lost-after", "4")
-        hosts[host] = lfield.start(*words)
+        maps = [argument for name, address in at.items() for argument in ("--map", f"{name}={address}")]
+        arguments = ("up", "--deploy", deployment, "--host", host, *maps, "--until-done", "--lost-after", "4")
+        hosts[host] = lfield.start(*arguments)
     hosts["carol"].wait_for("c receives")
     proxy.cut()
     hosts["alpha"].wait_for("link to carol lost")
@@ -160,17 +160,17 @@ ONE_AWAY = "//Post:a@alpha\n//Walker:walker@alpha?a&0.01\n//@bravo\n"
 def test_a_first_start_waits_for_all_hosts_and_the_next_one_does_not(lfield):
     deployment = lfield.mission(PROGRAM, ONE_AWAY)
     maps = lfield.maps(["alpha", "bravo"])
-    words = ("up", "--deploy", deployment, *maps, "--state", lfield.folder / "disk", "--until-done")
-    alpha = lfield.start(*words, "--host", "alpha")
+    arguments = ("up", "--deploy", deployment, *maps, "--state", lfield.folder / "disk", "--until-done")
+    alpha = lfield.start(*arguments, "--host", "alpha")
     alpha.wait_for(
         "walker not started: this host has no record of earlier starts, and bravo has to answer first"
     )
     assert alpha.out == []
-    bravo = lfield.start(*words, "--host", "bravo")
+    bravo = lfield.start(*arguments, "--host", "bravo")
     assert (alpha.wait(), bravo.wait()) == (0, 0)
     journal = lfield.folder / "disk" / "mission@alpha" / "host.journal"
     assert "walker, start 1: EXITED" in "\n".join(lfield("inspect", journal).out)
-    again = lfield(*words, "--host", "alpha")
+    again = lfield(*arguments, "--host", "alpha")
     assert again.out == ["a receives", "a lets go"]
     assert "walker, start 2: EXITED" in "\n".join(lfield("inspect", journal).out)
 
@@ -189,8 +189,8 @@ def test_all_keeps_no_journal_without_devices_unless_a_folder_is_named(lfield):
     deployment = lfield.mission(PROGRAM, ONE_AWAY)
     refused = lfield("up", "--deploy", deployment, "--all", "--first-start", status=64)
     assert refused.err[-1].startswith("lfield: --first-start is for a single host")
-    words = ("up", "--deploy", deployment, "--all", "--until-done")
-    lfield(*words, status=0)
+    arguments = ("up", "--deploy", deployment, "--all", "--until-done")
+    lfield(*arguments, status=0)
     assert not list(lfield.folder.rglob("host.journal"))
-    lfield(*words, "--state", "here", status=0)
+    lfield(*arguments, "--state", "here", status=0)
     assert len(list(lfield.folder.rglob("host.journal"))) == 2

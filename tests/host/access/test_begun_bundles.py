@@ -111,8 +111,8 @@ async def test_after_a_restart_in_flight_a_revoked_signature_is_accepted_with_a_
     release = BundleId(DIGEST, sign_bundle(DIGEST, anna, time.time()))
     mission = replace(team.mission(PROGRAM, ENDLESS), release=release)
     own = identity_in(host.certificate, host.authority)
-    who = identity_in(anna.certificate, anna.authority)
-    revoked = RevocationList(4, frozenset({who.serial}), time.time())
+    identity = identity_in(anna.certificate, anna.authority)
+    revoked = RevocationList(4, frozenset({identity.serial}), time.time())
     good, bad = (
         CertificateAdmission(host, own, TrustedClock(SystemClock()), found)
         for found in (RevocationList(), revoked)

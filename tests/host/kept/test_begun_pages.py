@@ -105,8 +105,8 @@ class Lease:
         return (agent, generation) in self.bars
 
     def end_reason(self, agent: str, generation: int) -> str:
-        why = f"this start of {agent} is fenced"
-        return why if self.is_fenced(agent, generation) else self.team.end_reason(agent, generation)
+        reason = f"this start of {agent} is fenced"
+        return reason if self.is_fenced(agent, generation) else self.team.end_reason(agent, generation)
 
 
 class Bench:
@@ -115,14 +115,14 @@ class Bench:
     def __init__(self, *pages: PendingCallRecord, keeps: bool = True) -> None:
         self.team, self.lease, self.machine = Team(), Lease(), Engine()
         self.lease.team = self.team
-        given: Any = self.team, self.lease, self.machine
+        arguments: Any = self.team, self.lease, self.machine
         context: Any = SimpleNamespace(
             greeting=SimpleNamespace(mission_hash=MISSION),
             clock=ManualClock(),
             records=pages,
             has_journal=keeps,
         )
-        self.store = PendingCallStore(context, *given)
+        self.store = PendingCallStore(context, *arguments)
         self.store.restore()
 
     def begins(self, walker: Walker) -> bool:

@@ -127,8 +127,8 @@ async def test_a_forgotten_parked_coordinator_does_not_delay_the_end_of_a_missio
     home, away = await team.up(mission, keeps=True)
     assert (await send_forget(team, "away")).starts == [1]
     await team.until(lambda: ("EXITED", "lost") in records(home))
-    (fate,) = await wait_until_done(home.host, 15.0)
-    assert (fate.agent, fate.outcome) == ("other", "done")
+    (outcome,) = await wait_until_done(home.host, 15.0)
+    assert (outcome.agent, outcome.outcome) == ("other", "done")
 
 
 async def send_forget(team, host):

@@ -30,13 +30,13 @@ async def test_senders_wait_until_the_disk_has_space(team, /):
     await team.until(lambda: len(away.output) > 2)
     team.disks["away"].full = True
     await team.until(lambda: "rejecting migrations: its disk is full" in away.log)
-    visits = len(away.output)
+    line_count = len(away.output)
     (waiting,) = home.host.mobility.known_states()
     await team.until(lambda: home.host.mobility.known_states()[0].state == "FROZEN")
     await asyncio.sleep(5.0)
-    assert len(away.output) == visits
+    assert len(away.output) == line_count
     team.disks["away"].full = False
-    await team.until(lambda: len(away.output) > visits)
+    await team.until(lambda: len(away.output) > line_count)
     assert "accepting migrations again" in away.log
     assert waiting.generation == 1
 

@@ -104,9 +104,9 @@ def test_a_copy_of_a_stop_after_its_lift_does_nothing_and_reports_it(desk: Desk)
 
 def test_a_lift_given_before_a_stop_or_a_pause_does_not_end_it(desk: Desk) -> None:
     desk.stop(A, desk.epochs.hold)
-    seen = desk.epochs.end
+    epoch = desk.epochs.end
     desk.say(Pause(B, epoch=desk.epochs.hold))
-    refused = desk.lift(C, seen)
+    refused = desk.lift(C, epoch)
     assert isinstance(refused, EmergencyStopResult)
     assert refused.trouble.startswith("a newer emergency stop arrived before this order")
     assert refused.devices == {"p.fc": refused.trouble}
@@ -119,10 +119,10 @@ def test_a_lift_given_before_a_stop_or_a_pause_does_not_end_it(desk: Desk) -> No
 
 def test_a_repeated_lift_is_confirmed_and_ends_no_newer_stop(desk: Desk) -> None:
     desk.stop(A, desk.epochs.hold)
-    seen = desk.epochs.end
-    assert desk.lift(B, seen) == desk.lift(B, seen) == EmergencyStopResult({"p.fc": ""}, "", B, desk.epochs)
+    epoch = desk.epochs.end
+    assert desk.lift(B, epoch) == desk.lift(B, epoch) == EmergencyStopResult({"p.fc": ""}, "", B, desk.epochs)
     desk.stop(C, desk.epochs.hold)
-    again = desk.lift(B, seen)
+    again = desk.lift(B, epoch)
     assert isinstance(again, EmergencyStopResult)
     assert again.devices == {"p.fc": "fog"}
     assert desk.stopped == "fog"

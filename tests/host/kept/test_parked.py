@@ -102,8 +102,8 @@ def test_declare_lost_ends_all_parked_starts_of_an_agent():
     mobility.restore(
         [], [CoordinatorRecord(*one, "RUN", program=of * 32, block=b"...") for *one, of in agents]
     )
-    came = Transfer("guest", 1, 1, 1, b"n" * 32, 5, 3)
-    (refusal,) = mobility.on_transfer("home", came, b"new", lambda *_: None)
+    arrived = Transfer("guest", 1, 1, 1, b"n" * 32, 5, 3)
+    (refusal,) = mobility.on_transfer("home", arrived, b"new", lambda *_: None)
     assert "has another start of guest under that number" in refusal.message.reason
     for agent, starts in (("guest", [1]), ("other", [1, 2])):
         ended, effects = mobility.declare_lost(agent, "by an operator")

@@ -66,13 +66,13 @@ async def test_the_home_continues_and_the_returned_host_does_not(team, /):
         "guest: start away again; if it is permanently lost, continue without it: lfield recover guest, "
         "or end it: lfield forget guest"
     ]
-    belief = best_candidate("guest", answers, NAMES)
-    assert belief.host_ref == HostRef("", "home")
-    assert belief.lines[0] == (
+    estimate = best_candidate("guest", answers, NAMES)
+    assert estimate.host_ref == HostRef("", "home")
+    assert estimate.lines[0] == (
         "guest, start 1: the newest copy is on home, as it left for away after 0 hops (transfer 1)"
     )
-    assert "away does not answer" in belief.lines[1]
-    answer = await send_request(team.network.transport("desk"), "home:8181", recover(belief.request))
+    assert "away does not answer" in estimate.lines[1]
+    answer = await send_request(team.network.transport("desk"), "home:8181", recover(estimate.request))
     assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.own_number
     assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
     expected = (
@@ -158,12 +158,12 @@ async def test_the_answer_waits_for_the_disk(team, /, request_):
     home, away = await with_guest_away(team)
     await away.host.stop()
     team.disks["home"].broken = True
-    asked = asyncio.create_task(send_request(team.network.transport("desk"), "home:8181", request_))
+    task = asyncio.create_task(send_request(team.network.transport("desk"), "home:8181", request_))
     await asyncio.sleep(3.0)
-    assert not asked.done()
+    assert not task.done()
     assert "told: guest was recovered" not in home.log
     team.disks["home"].broken = False
-    await asked
+    await task
 
 
 TRIP = PROGRAM.replace("findPost(arg[1]).stay(1000.0)", "FIRST; findPost(arg[2]).stay(1000.0)").replace(
@@ -184,11 +184,11 @@ async def test_an_unreadable_copy_is_reported_and_an_older_one_can_be_recovered(
         answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, SNAPSHOT)
         return host_states({HostRef("", host): answer for host, answer in answers.items()})
 
-    belief = best_candidate("guest", await reached_states(), names)
-    assert belief.host_ref == HostRef("", "away")
+    estimate = best_candidate("guest", await reached_states(), names)
+    assert estimate.host_ref == HostRef("", "away")
     copy = away.host.mobility.newest_copy("guest")
     copy.block = bytes(len(copy.block))
-    answer = await send_request(desk, "away:8181", recover(belief.request))
+    answer = await send_request(desk, "away:8181", recover(estimate.request))
     assert (answer.generation, answer.reason) == (
         0,
         "the copy of guest on away cannot be read; repeat the command: another host may have an older copy",
@@ -198,13 +198,13 @@ async def test_an_unreadable_copy_is_reported_and_an_older_one_can_be_recovered(
         team_tables({place.host: answer for place, answer in (await reached_states()).items()})
     )
     assert "in doubt: its stored copy here cannot be read" in out.getvalue()
-    belief = best_candidate("guest", await reached_states(), names)
-    assert belief.host_ref == HostRef("", "home")
-    assert belief.lines[1] == (
+    estimate = best_candidate("guest", await reached_states(), names)
+    assert estimate.host_ref == HostRef("", "home")
+    assert estimate.lines[1] == (
         "  away has a newer one, of after 1 hop, that cannot be read: what guest did in between may be "
         "done again"
     )
-    answer = await send_request(desk, "home:8181", recover(belief.request))
+    answer = await send_request(desk, "home:8181", recover(estimate.request))
     assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
     await team.until(lambda: outcomes(away)[1] == "superseded")
     assert not away.host.mobility.newest_copy("guest")

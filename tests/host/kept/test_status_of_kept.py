@@ -51,8 +51,8 @@ async def test_a_coordinator_waits_for_a_failing_disk(team, /):
     home, away = await team.up(team.mission(LATER, TWO_HOSTS), keeps=True)
     team.disks["home"].broken = True
     await team.until(lambda: home.host.status().journal.trouble)
-    (guest,) = home.host.status().agents
-    assert (guest.id, guest.state) == ("guest", "waits for its disk")
+    (agent,) = home.host.status().agents
+    assert (agent.id, agent.state) == ("guest", "waits for its disk")
     assert "failing: " in shown(home)
     assert "its disk fails" in shown(home)
     team.disks["home"].broken = False

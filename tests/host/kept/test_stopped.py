@@ -112,10 +112,10 @@ def climbs(fleet: Fleet, since: int) -> bool:
 
 def started_again(fleet: Fleet) -> int:
     fleet.crash("alpha")
-    began = len(fleet.log)
+    started = len(fleet.log)
     fleet.boot("alpha")
     fleet.run(10.0)
-    return began
+    return started
 
 
 def test_a_restarted_host_holds_its_devices_until_the_stop_is_lifted(tmp_path: Path) -> None:
@@ -124,19 +124,19 @@ def test_a_restarted_host_holds_its_devices_until_the_stop_is_lifted(tmp_path: P
     fleet.run(5.0)
     assert (person.answers, person.kept) == ([EmergencyStopResult({"p.fc": ""})], [WHY])
     for _ in range(2):
-        began = started_again(fleet)
-        assert is_logged(fleet, STILL, began)
+        started = started_again(fleet)
+        assert is_logged(fleet, STILL, started)
         assert latched(fleet) == WHY
-        assert is_logged(fleet, f"{WHY}; 'lfield estop --lift' must come first", began)
-        assert not climbs(fleet, began)
+        assert is_logged(fleet, f"{WHY}; 'lfield estop --lift' must come first", started)
+        assert not climbs(fleet, started)
     person.stop(lift=True)
     lifted = len(fleet.log)
     fleet.run(10.0)
     assert (person.answers[-1], person.kept[-1]) == (EmergencyStopResult({"p.fc": ""}), "")
     assert climbs(fleet, lifted)
-    began = started_again(fleet)
-    assert not is_logged(fleet, "EMERGENCY", began)
-    assert climbs(fleet, began)
+    started = started_again(fleet)
+    assert not is_logged(fleet, "EMERGENCY", started)
+    assert climbs(fleet, started)
 
 
 def test_a_stop_is_executed_at_once_and_confirmed_when_it_is_stored(tmp_path: Path) -> None:
@@ -179,9 +179,9 @@ def test_a_host_without_a_journal_drops_the_stop_at_a_restart(tmp_path: Path) ->
     person.stop()
     fleet.run(5.0)
     assert person.answers == [EmergencyStopResult({"p.fc": ""})]
-    began = started_again(fleet)
+    started = started_again(fleet)
     assert latched(fleet) == ""
-    assert not is_logged(fleet, "EMERGENCY", began)
+    assert not is_logged(fleet, "EMERGENCY", started)
 
 
 def test_a_paused_host_without_a_journal_does_not_spin(tmp_path: Path) -> None:
@@ -206,16 +206,16 @@ def test_loops_run_during_a_stop_move_nothing_and_fly_again_after_the_release(tm
     fleet, person = flying(tmp_path, LOOPS)
     person.stop()
     for _ in range(2):
-        began = len(fleet.log)
+        started = len(fleet.log)
         fleet.run(15.0)
-        assert sum("p: tick" in text for _, _, text in fleet.log[began:]) >= 9
+        assert sum("p: tick" in text for _, _, text in fleet.log[started:]) >= 9
         assert is_logged(
-            fleet, f"loop fly of p failed: DeviceException: fc: held in its safe state: {WHY}", began
+            fleet, f"loop fly of p failed: DeviceException: fc: held in its safe state: {WHY}", started
         )
-        assert not climbs(fleet, began)
-        began = started_again(fleet)  # The stop is in the journal; loops begin again.
-        assert not climbs(fleet, began)
+        assert not climbs(fleet, started)
+        started = started_again(fleet)  # The stop is in the journal; loops begin again.
+        assert not climbs(fleet, started)
     person.stop(lift=True)
-    began = len(fleet.log)
+    started = len(fleet.log)
     fleet.run(6.0)
-    assert climbs(fleet, began)
+    assert climbs(fleet, started)

@@ -99,13 +99,13 @@ def store_in(monkeypatch, *folders):
 
 
 def test_the_newest_list_counts_and_a_new_one_is_stored(ring, tmp_path, monkeypatch):
-    keys, kept = ring.issue("host", "alpha"), tmp_path / "kept"
+    keys, backup = ring.issue("host", "alpha"), tmp_path / "kept"
     keys = replace(keys, revoked=ring.revocation_list(2, "ff"))
     own = tmp_path / "own"
     keystore.write_keys(own, keys)
-    keystore.write_crl(kept, ring.revocation_list(5, "fe"))
-    store_in(monkeypatch, own, kept)
-    admission = certificate_admission(HostCredentials(keys, (own, kept)))
+    keystore.write_crl(backup, ring.revocation_list(5, "fe"))
+    store_in(monkeypatch, own, backup)
+    admission = certificate_admission(HostCredentials(keys, (own, backup)))
     assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe", "ff"}))
     assert admission.on_revocation_list(ring.revocation_list(6, "fd", "fe", "ff")) == (
         "certificate revocation list 6 received",
@@ -137,29 +137,29 @@ def test_an_old_list_is_read_once(ring, tmp_path, monkeypatch):
 
 
 def test_a_list_is_stored_in_the_next_folder_if_the_first_is_not_writable(ring, tmp_path, monkeypatch):
-    keys, kept = ring.issue("host", "alpha"), tmp_path / "kept"
+    keys, backup = ring.issue("host", "alpha"), tmp_path / "kept"
     unwritable = tmp_path / "file"
     unwritable.write_text("no folder can be made here")
-    store_in(monkeypatch, unwritable / "keys", kept)
-    admission = certificate_admission(HostCredentials(keys, (kept,)))
+    store_in(monkeypatch, unwritable / "keys", backup)
+    admission = certificate_admission(HostCredentials(keys, (backup,)))
     assert admission.on_revocation_list(ring.revocation_list(1, "ff"))
-    assert keystore.read_crl(kept) == admission.list
+    assert keystore.read_crl(backup) == admission.list
 
 
 @pytest.mark.parametrize("length", [0, 100])
 def test_a_damaged_stored_list_is_named(ring, tmp_path, length):
-    kept = tmp_path / "kept"
-    keystore.write_crl(kept, ring.revocation_list(5, "fe"))
-    path = kept / "revoked.crl"
+    backup = tmp_path / "kept"
+    keystore.write_crl(backup, ring.revocation_list(5, "fe"))
+    path = backup / "revoked.crl"
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(KeysError, match=f"{path}.* copy it again"):
-        certificate_admission(HostCredentials(ring.issue("host", "alpha"), (kept,)))
+        certificate_admission(HostCredentials(ring.issue("host", "alpha"), (backup,)))
 
 
 def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, monkeypatch):
     """After a restart this host would accept the revoked certificates."""
     monkeypatch.setattr(crl_store, "RETRY_AFTER", 0.001)
-    keys, kept, lines = ring.issue("host", "alpha"), tmp_path / "kept", []
+    keys, backup, lines = ring.issue("host", "alpha"), tmp_path / "kept", []
     tries = []
 
     def keep(folders, data):
@@ -167,10 +167,10 @@ def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, mo
         return write_crl(folders, data)
 
     monkeypatch.setattr(crl_store, "write_crl", keep)
-    admission = certificate_admission(HostCredentials(keys, (kept,)))
+    admission = certificate_admission(HostCredentials(keys, (backup,)))
     admission.note = lines.append
     anna = identity_in(ring.issue("person", "anna").certificate, keys.authority)
-    kept.write_text("no folder can be made here")
+    backup.write_text("no folder can be made here")
 
     async def story():
         admission.on_handshake(anna, Hello("observer", "observer", 0))
@@ -178,17 +178,17 @@ def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, mo
         while len(tries) < 5:
             await asyncio.sleep(0.001)
         assert lines == [admission.persist_error]
-        assert f"revocation list 1 not stored: cannot write {kept}" in admission.persist_error
+        assert f"revocation list 1 not stored: cannot write {backup}" in admission.persist_error
         assert (
             "after a restart this host would accept the certificates that it revokes (anna);"
             in admission.persist_error
         )
         admission.on_revocation_list(newest := ring.revocation_list(2, anna.serial, "ff", "fe"))
-        kept.unlink()
+        backup.unlink()
         while admission.persist_error:
             await asyncio.sleep(0.001)
         assert lines[-1] == "certificate revocation list 2 stored"
-        assert keystore.read_crl(kept) == newest
+        assert keystore.read_crl(backup) == newest
 
     asyncio.run(story())
 

@@ -26,13 +26,13 @@ def test_a_normal_rate_is_not_limited():
 
 
 def test_events_over_the_rate_are_counted():
-    (budget, reports), taken = budget_of(20.0, 10.0), 0
+    (budget, reports), accepted = budget_of(20.0, 10.0), 0
     for n in range(10_000):
         budget.refill(n * 0.001)
-        taken += budget.try_acquire("left")
-    assert taken == pytest.approx(20 + 100, abs=1)
+        accepted += budget.try_acquire("left")
+    assert accepted == pytest.approx(20 + 100, abs=1)
     budget.report_dropped(10.0)
-    assert sum(skipped.count for skipped in reports) == 10_000 - taken
+    assert sum(skipped.count for skipped in reports) == 10_000 - accepted
     count = len(reports)
     budget.report_dropped(12.0)
     assert len(reports) == count
@@ -82,15 +82,15 @@ def test_a_long_event_costs_more():
 )
 def test_every_dropped_event_is_counted_once(asked, rate):
     (budget, reports), now = budget_of(2.0, rate), 0.0
-    taken = 0
+    accepted = 0
     for kind, pause in asked:
         now += pause
         budget.refill(now)
-        taken += budget.try_acquire(kind)
+        accepted += budget.try_acquire(kind)
         budget.report_dropped(now)
     budget.report_dropped(now, at_once=True)
-    assert taken + sum(skipped.count for skipped in reports) == len(asked)
-    assert taken <= 2.0 + rate * now + 1e-6
+    assert accepted + sum(skipped.count for skipped in reports) == len(asked)
+    assert accepted <= 2.0 + rate * now + 1e-6
 
 
 def test_a_clock_that_stands_still_fills_nothing():

@@ -43,8 +43,8 @@ agents: {arm2: {payload: 1.2}}
 @asynccontextmanager
 async def operated(fleet, mission, asked=None, dialled=None):
     """`dialled` collects the addresses to which the desk connects."""
-    party = TargetTeam((), mission.team.addresses_by_host)
-    reach = HostLocator(party, lambda: [])
+    team = TargetTeam((), mission.team.addresses_by_host)
+    reach = HostLocator(team, lambda: [])
     transport = fleet.network.transport("desk")
     connect = transport.connect
 
@@ -54,7 +54,7 @@ async def operated(fleet, mission, asked=None, dialled=None):
         return await connect(address, handler)
 
     transport.connect = counted
-    shown = TeamWatch(team_contents("team", mission.team, mission), LoopClock())
+    watch = TeamWatch(team_contents("team", mission.team, mission), LoopClock())
 
     def ask():
         if asked is None:
@@ -64,14 +64,14 @@ async def operated(fleet, mission, asked=None, dialled=None):
     async def at_once(work, *args):
         return work(*args)
 
-    follower = EventFollower(transport, reach.hosts, reach, shown, LoopClock())
-    shown.actions = TeamActions(
-        TeamConnection(transport, reach), shown, ask, open_links=follower.order, run_in_thread=at_once
+    follower = EventFollower(transport, reach.hosts, reach, watch, LoopClock())
+    watch.actions = TeamActions(
+        TeamConnection(transport, reach), watch, ask, open_links=follower.order, run_in_thread=at_once
     )
     task = asyncio.create_task(follower.run())
     try:
-        await fleet.until(lambda: all(host.linked for host in shown.snapshot().hosts.values() if host.host))
-        yield shown
+        await fleet.until(lambda: all(host.linked for host in watch.snapshot().hosts.values() if host.host))
+        yield watch
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -85,8 +85,8 @@ def operate(fleet):
         async def main(fleet) -> None:
             mission = fleet.mission(PROGRAM, TEAM, capabilities=CAPABILITIES)
             hosts = await fleet.up(mission)
-            async with operated(fleet, mission, asked, dialled) as shown:
-                await story(fleet, shown, hosts)
+            async with operated(fleet, mission, asked, dialled) as watch:
+                await story(fleet, watch, hosts)
 
         fleet(main)
 

@@ -62,6 +62,6 @@ def test_a_subscription_keeps_to_its_share_of_a_measured_path():
         sent.append((up, size))
         watcher.on_ack(number + 1, up + 0.1 + size / RADIO, position)
         up = max(up + MIN_INTERVAL, watcher.next_batch_at)
-    (began, _), (ended, _) = sent[20], sent[-1]
+    (started, _), (ended, _) = sent[20], sent[-1]
     carried = sum(size + OVERHEAD for _, size in sent[20:-1])
-    assert carried / (ended - began) <= 1.1 * SHARE * RADIO
+    assert carried / (ended - started) <= 1.1 * SHARE * RADIO

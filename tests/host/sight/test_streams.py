@@ -40,12 +40,12 @@ def test_the_ring_has_the_newest_events_within_its_limits(sizes, most_events, mo
     stream = small(most_events, most_bytes)
     for size in sizes:
         stream.append(LineLogged("x" * size), 1.0, 2.0)
-    kept, total = stream.after(0, 10**6, 10**9)
+    events, total = stream.after(0, 10**6, 10**9)
     assert stream.latest == len(sizes)
-    assert [event.number for event in kept] == list(range(stream.last_dropped + 1, stream.latest + 1))
-    assert len(kept) <= most_events
-    assert total == sum(map(size_of, kept))
-    assert total <= most_bytes or len(kept) == 1
+    assert [event.number for event in events] == list(range(stream.last_dropped + 1, stream.latest + 1))
+    assert len(events) <= most_events
+    assert total == sum(map(size_of, events))
+    assert total <= most_bytes or len(events) == 1
 
 
 def test_an_event_has_its_cause_and_its_times():
@@ -62,8 +62,8 @@ def test_frequent_events_do_not_displace_rare_ones():
     append_lines(stream, 50)
     stream.append(DeviceLatched("a.fc", "land", "fire"), 1.0, 1.0)
     append_lines(stream, 50)
-    kept, _ = stream.after(0, 99, 9999)
-    assert [event.number for event in kept] == [1, 52, *range(93, 103)]
+    events, _ = stream.after(0, 99, 9999)
+    assert [event.number for event in events] == [1, 52, *range(93, 103)]
     assert (stream.latest, stream.last_dropped) == (102, 92)
     # Some of the frequent events can be left out.
     assert [event.number for event in stream.after(1, 99, 9999, 100)[0]] == [52, 101, 102]
@@ -154,13 +154,13 @@ def test_the_interval_of_batches_has_both_limits():
 def test_a_batch_is_small_after_many_events():
     stream = EventLog()
     append_lines(stream, 300, "x" * MAX_TEXT)
-    watcher, seen, received = watched(stream), 0.0, []
+    watcher, now, received = watched(stream), 0.0, []
     while len(received) < 300:
-        batch = batch_of(watcher, seen)
+        batch = batch_of(watcher, now)
         assert len(encode(batch)) < 64 << 10
         received += numbers(batch)
-        watcher.on_ack(batch.batch, seen)
-        seen += MIN_INTERVAL
+        watcher.on_ack(batch.batch, now)
+        now += MIN_INTERVAL
     assert received == list(range(1, 301))
 
 

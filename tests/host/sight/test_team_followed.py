@@ -54,14 +54,14 @@ async def followed(fleet, mission, since=None):
     async def reach(host: str) -> str:
         return mission.team.addresses_by_host[host]
 
-    shown = WatchWithTimeline(team_contents("team", mission.team, mission), LoopClock())
+    watch = WatchWithTimeline(team_contents("team", mission.team, mission), LoopClock())
     transport = fleet.network.transport("desk")
     follower = EventFollower(
-        transport, mission.team.hosts, reach, shown, LoopClock(), FollowOptions(since=since, telemetry=5.0)
+        transport, mission.team.hosts, reach, watch, LoopClock(), FollowOptions(since=since, telemetry=5.0)
     )
     task = asyncio.create_task(follower.run())
     try:
-        yield shown
+        yield watch
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -70,12 +70,12 @@ async def followed(fleet, mission, since=None):
 async def test_a_walk_is_shown_hop_by_hop_to_its_end(fleet, /) -> None:
     mission = fleet.mission(PROGRAM, TEAM)
     await fleet.up(mission)
-    async with followed(fleet, mission, since=0) as shown:
-        await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
+    async with followed(fleet, mission, since=0) as watch:
+        await fleet.until(lambda: watch.snapshot().agents["walker"].finished)
         # The end of the coordinator is reported before its last hop is confirmed.
-        await fleet.until(lambda: shown.snapshot().coordinators["walker"].trail[-1].seconds is not None)
-        await fleet.until(lambda: len([x for x in shown.snapshot().log if "visit" in x.text]) == 6)
-        observed = shown.snapshot()
+        await fleet.until(lambda: watch.snapshot().coordinators["walker"].trail[-1].seconds is not None)
+        await fleet.until(lambda: len([x for x in watch.snapshot().log if "visit" in x.text]) == 6)
+        observed = watch.snapshot()
         walker = observed.coordinators["walker"]
         assert (walker.finished, walker.host) == ("done", "beta")
         assert [(hop.of, hop.to) for hop in walker.trail] == [
@@ -85,7 +85,7 @@ async def test_a_walk_is_shown_hop_by_hop_to_its_end(fleet, /) -> None:
         assert all(hop.seconds is not None and hop.resource in "pq" for hop in walker.trail)
         assert walker.hops == 5
         assert all(host.linked for host in observed.hosts.values())
-        entries = shown.timeline.drain_events()
+        entries = watch.timeline.drain_events()
         # Entries beside the numbered events have the number of the last one: the first has its own.
         numbered = reversed(list(enumerate(entries)))
         times = {(d.host, d.incarnation, d.event.number): n for n, d in numbered}
@@ -115,10 +115,10 @@ coordinator Walker {
 async def test_every_hop_has_its_duration_when_the_return_confirms_it(fleet, /) -> None:
     mission = fleet.mission(THERE_AND_BACK, TEAM)
     await fleet.up(mission)
-    async with followed(fleet, mission, since=0) as shown:
-        await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
+    async with followed(fleet, mission, since=0) as watch:
+        await fleet.until(lambda: watch.snapshot().agents["walker"].finished)
         await asyncio.sleep(3.0)
-        entries = [dated.event for dated in shown.timeline.drain_events()]
+        entries = [dated.event for dated in watch.timeline.drain_events()]
         hops = {kind: [e.what.sequence for e in entries if e.kind == kind] for kind in ("left", "hopped")}
         assert len(hops["left"]) == 19
         assert hops["hopped"] == hops["left"]
@@ -134,33 +134,33 @@ async def test_a_late_client_gets_the_earlier_log_in_order_and_once(fleet, /) ->
     async def reach(host: str) -> str:
         return mission.team.addresses_by_host[host]
 
-    async with followed(fleet, mission) as shown:
-        said = log_backlog(transport, mission.team.hosts, reach, LoopClock())
-        await shown.start_log(said)
-        assert len([line for line in shown.snapshot().log if "visit" in line.text]) == 4
-        await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
-        log = shown.snapshot().log
+    async with followed(fleet, mission) as watch:
+        backlog = log_backlog(transport, mission.team.hosts, reach, LoopClock())
+        await watch.start_log(backlog)
+        assert len([line for line in watch.snapshot().log if "visit" in line.text]) == 4
+        await fleet.until(lambda: watch.snapshot().agents["walker"].finished)
+        log = watch.snapshot().log
         assert [x.text for x in log if "visit" in x.text] == [f"visit {n}" for n in range(6)]
         first = next(line for line in log if "visit" in line.text)
-        assert first.age == pytest.approx(shown.snapshot().log[-1].age + 5.0, abs=0.5)
+        assert first.age == pytest.approx(watch.snapshot().log[-1].age + 5.0, abs=0.5)
         # Earlier hops are not shown.
-        assert len(shown.snapshot().coordinators["walker"].trail) == 2
+        assert len(watch.snapshot().coordinators["walker"].trail) == 2
 
 
 async def test_an_ended_host_stays_displayed_and_its_restart_is_counted(fleet, /) -> None:
     mission = fleet.mission(PROGRAM, TEAM)
     _, beta = await fleet.up(mission)
-    async with followed(fleet, mission) as shown:
-        await fleet.until(lambda: shown.snapshot().hosts["beta"].linked)
+    async with followed(fleet, mission) as watch:
+        await fleet.until(lambda: watch.snapshot().hosts["beta"].linked)
         await asyncio.sleep(1.0)
         await beta.host.stop()
-        await fleet.until(lambda: not shown.snapshot().hosts["beta"].linked)
-        gone = shown.snapshot().hosts["beta"]
+        await fleet.until(lambda: not watch.snapshot().hosts["beta"].linked)
+        gone = watch.snapshot().hosts["beta"]
         assert gone.ending is not None
         await asyncio.sleep(30.0)
-        assert shown.snapshot().hosts["beta"].age == pytest.approx(30.0, abs=2.0)
+        assert watch.snapshot().hosts["beta"].age == pytest.approx(30.0, abs=2.0)
         await fleet.up(mission, "beta", first_start=False)
-        await fleet.until(lambda: shown.snapshot().hosts["beta"].linked)
-        again = shown.snapshot().hosts["beta"]
+        await fleet.until(lambda: watch.snapshot().hosts["beta"].linked)
+        again = watch.snapshot().hosts["beta"]
         assert (again.restarts, again.ending) == (1, None)
         assert "state" not in again.lost

@@ -93,10 +93,10 @@ def test_a_repeated_transfer_is_one_hop_with_its_duration(rig: Rig) -> None:
     rig.hops.on_sent("b", header(4))
     rig.clock.advance(0.25)
     rig.hops.on_confirmed(MarkMigrated("w", 1, 4, "b"))
-    left, hopped = rig.recorded
+    left, migrated = rig.recorded
     assert left.what == events.MigrationStarted("w", 1, 4, "b", "gate", "pass", 544)
-    assert hopped.what == events.MigrationConfirmed("w", 1, 4, "b", 0.75)
-    assert hopped.cause == left.number
+    assert migrated.what == events.MigrationConfirmed("w", 1, 4, "b", 0.75)
+    assert migrated.cause == left.number
 
 
 def test_a_hop_of_an_earlier_life_has_no_duration(rig: Rig) -> None:
@@ -113,9 +113,9 @@ def test_a_return_confirms_an_unconfirmed_hop(rig: Rig) -> None:
     rig.clock.advance(0.25)
     rig.agent(5)
     rig.hops.on_running("w", 1)
-    left, hopped, came = rig.recorded
-    assert (hopped.cause, hopped.what) == (left.number, events.MigrationConfirmed("w", 1, 4, "b", 0.5))
-    assert came.what == events.MigrationArrived("w", 1, 5, "b", 544)
+    left, migrated, arrived = rig.recorded
+    assert (migrated.cause, migrated.what) == (left.number, events.MigrationConfirmed("w", 1, 4, "b", 0.5))
+    assert arrived.what == events.MigrationArrived("w", 1, 5, "b", 544)
     rig.hops.on_confirmed(MarkMigrated("w", 1, 4, "b"))
     assert len(rig.recorded) == 3
 

@@ -89,17 +89,17 @@ async def test_a_query_from_outside_equals_that_of_the_program(team, /, conditio
     for name, running in hosts.items():
         status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
         directory = {name: {one.agent: one for one in status.directory}}
-        asked = Matcher(
+        matcher = Matcher(
             registry, roster_from_hosts(registry, mission.team.deployed, directory, (), name), ways
         )
         query = compile_query(condition or "true", registry.attributes)
-        outside = asked.find("Lift", query)
+        outside = matcher.find("Lift", query)
         inside = running.host.core.services.offers(NOBODY, "Lift", condition or "true")
         found = [to_vm_offer(offer, numbers, outside.count) for offer in outside.offers]
         assert [facts_of(offer) for offer in found] == [facts_of(offer) for offer in inside]
         assert [offer.score for offer in found] == [offer.score for offer in inside]
-        why = render_refusals(asked.explain("Lift", query.condition))
-        assert why in running.host.core.services.explain(NOBODY, "Lift", condition or "true")
+        reason = render_refusals(matcher.explain("Lift", query.condition))
+        assert reason in running.host.core.services.explain(NOBODY, "Lift", condition or "true")
     assert inside or condition == "battery > 0.5 && tools == sling"
 
 
@@ -147,11 +147,11 @@ async def test_places_and_reservations_give_the_same_answer_inside_and_outside(t
     world = hosts[at].host.core.services
     status = msgpack.decode(msgpack.encode(hosts[at].host.status()), type=Status)
     directory = {at: {one.agent: one for one in status.directory}}
-    offers, why = asked(roster_from_hosts(registry, deployed, directory, (), at, pose))
+    offers, reason = asked(roster_from_hosts(registry, deployed, directory, (), at, pose))
     inside = world.offers(SimpleNamespace(id="other"), "Lift", None)
     assert [(o.agent, o.score) for o in offers] == [(o.agent, o.score) for o in inside]
     assert [offer.agent for offer in offers] == [agent for agent in nearest if agent != "three"]
-    assert why.startswith("three: reserved by foreman for ")
+    assert reason.startswith("three: reserved by foreman for ")
     assert [offer.agent for offer in world.offers(NOBODY, "Lift", None)] == nearest
     teams = world.teams(SimpleNamespace(id="other"), "Lift", None, 3)
     assert (teams, len(world.teams(NOBODY, "Lift", None, 3))) == ([], 1)

@@ -82,13 +82,13 @@ async def start_hoists(team, program=IDLE, capabilities=CAPABILITIES):
     """alpha and bravo, linked, and the telemetry of alpha."""
     mission = team.mission(HOISTS + program, TEAM, BINDINGS, capabilities=capabilities, simulate=True)
     alpha, bravo = (team.make(mission, name) for name in ("alpha", "bravo"))
-    said, _ = Telemetry(alpha), Telemetry(bravo)
+    telemetry, _ = Telemetry(alpha), Telemetry(bravo)
     for running in (alpha, bravo):
         team.on_the_ground(running)
     await asyncio.gather(alpha.host.start(), bravo.host.start())
     await team.until(lambda: alpha.host.peers.incarnations and bravo.host.peers.incarnations)
     await asyncio.sleep(4.0)
-    return alpha, bravo, said
+    return alpha, bravo, telemetry
 
 
 def facts_of(running, agent, condition=None):
@@ -100,11 +100,11 @@ def facts_of(running, agent, condition=None):
 
 
 async def test_every_attribute_of_an_offer_has_its_source(team, /):
-    alpha, bravo, said = await start_hoists(team)
-    said.values["near.fc", "battery"], said.values["near.fc", "groundSpeed"] = 0.75, 4.0
+    alpha, bravo, telemetry = await start_hoists(team)
+    telemetry.values["near.fc", "battery"], telemetry.values["near.fc", "groundSpeed"] = 0.75, 4.0
     await asyncio.sleep(2.0)
-    for asked in (alpha, bravo):
-        near, far = facts_of(asked, "near"), facts_of(asked, "far")
+    for host in (alpha, bravo):
+        near, far = facts_of(host, "near"), facts_of(host, "far")
         assert near["payload"] == (1.2, "stated")
         assert near["tools"] == ("sling, winch", "stated")
         assert near["chassis"] == ("fixed", "stated")
@@ -119,13 +119,13 @@ async def test_every_attribute_of_an_offer_has_its_source(team, /):
 
 async def test_a_query_portal_provides_an_attribute(team, /):
     alpha, bravo, _ = await start_hoists(team)
-    for asked in (alpha, bravo):
-        near = facts_of(asked, "near", "level > 1.4")
+    for host in (alpha, bravo):
+        near = facts_of(host, "near", "level > 1.4")
         assert near["level"] == (1.5, "measured")
         assert near["east"] == (2.0, "measured")
         assert "slowness" not in near
-        why = asked.host.core.services.explain(NOBODY, "Lift", "slowness > 0.0")
-        assert "near: near has not reported slow()" in why
+        reason = host.host.core.services.explain(NOBODY, "Lift", "slowness > 0.0")
+        assert "near: near has not reported slow()" in reason
 
 
 async def test_a_failing_portal_makes_its_attribute_unknown_until_it_recovers(team, /):
@@ -144,8 +144,8 @@ coordinator Foreman {
 
     alpha, _, _ = await start_hoists(team, program)
     await team.until(lambda: "rope" in alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0"))
-    why = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
-    assert "near: level() throws DeviceException: the rope is torn" in why
+    reason = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
+    assert "near: level() throws DeviceException: the rope is torn" in reason
     await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
 
 
@@ -198,9 +198,9 @@ async def test_an_unsuitable_portal_for_an_attribute_is_refused(team, /, source,
     capabilities = CAPABILITIES.replace("{from: level(), unit: mm, every: 2.0}", source)
     with pytest.raises(ProgramError) as error:
         team.mission(HOISTS + IDLE, TEAM, capabilities=capabilities, simulate=True)
-    said = "\n".join(d.render() for d in error.value.diagnostics)
-    assert code in said, said
-    assert told in said, said
+    output = "\n".join(d.render() for d in error.value.diagnostics)
+    assert code in output, output
+    assert told in output, output
 
 
 @pytest.mark.parametrize(

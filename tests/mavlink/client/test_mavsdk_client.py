@@ -262,17 +262,17 @@ def test_uploaded_geofence_is_downloaded_and_cleared(flavour):
 @pytest.mark.few(1)
 @BOTH
 def test_parameters_are_set_read_and_listed(flavour):
-    real, whole = {"ardupilot": ("WPNAV_RADIUS", "FS_GCS_ENABLE"), "px4": ("NAV_ACC_RAD", "NAV_DLL_ACT")}[
+    real, integers = {"ardupilot": ("WPNAV_RADIUS", "FS_GCS_ENABLE"), "px4": ("NAV_ACC_RAD", "NAV_DLL_ACT")}[
         flavour
     ]
 
     async def story(c):
         await c.parameters.set_param_float(real, 3.5)
         assert await c.parameters.get_param_float(real) == 3.5
-        await c.parameters.set_param_int(whole, 1)
-        assert await c.parameters.get_param_int(whole) == 1
+        await c.parameters.set_param_int(integers, 1)
+        assert await c.parameters.get_param_int(integers) == 1
         everything = await c.parameters.get_all_params()
-        assert {p.name: p.value for p in everything.int_params}[whole] == 1
+        assert {p.name: p.value for p in everything.int_params}[integers] == 1
         assert {p.name: p.value for p in everything.float_params}[real] == 3.5
         assert len(everything.int_params) + len(everything.float_params) > 400
 

@@ -56,7 +56,8 @@ def test_team_frame_metres_are_true_distances(latitude, longitude, place, radius
 def test_autopilots_with_different_radii_agree_on_a_position(latitude, longitude, spots, place):
     team, base = Origin(latitude, longitude, 50.0), Place(latitude, longitude, 50.0)
     one, other = (
-        GeodeticFrame(team, base.shifted(spot), r) for spot, r in zip(spots, RADII.values(), strict=True)
+        GeodeticFrame(team, base.shifted(position), r)
+        for position, r in zip(spots, RADII.values(), strict=True)
     )
     own, others = one.from_team(place), other.from_team(place)
     ones, their = one.origin.shifted(own, one.radius), other.origin.shifted(others, other.radius)

@@ -319,8 +319,8 @@ def test_any_payload_is_decoded_or_rejected(payload):
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=DATA))
 def test_any_listing_gives_a_bounded_number_of_entries(data):
-    found, taken = entries(data)
-    assert len(found) <= taken <= len(data)
+    found, used = entries(data)
+    assert len(found) <= used <= len(data)
     assert all(entry.size >= 0 for entry in found)
 
 

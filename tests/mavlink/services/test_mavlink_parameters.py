@@ -38,8 +38,10 @@ class Autopilot:
     def __call__(self, message):
         name = message.get_type()
         if name == "PARAM_REQUEST_READ":
-            asked = message.param_id if message.param_index < 0 else sorted(self.values)[message.param_index]
-            return [self.value(asked)] if asked in self.values else []
+            requests = (
+                message.param_id if message.param_index < 0 else sorted(self.values)[message.param_index]
+            )
+            return [self.value(requests)] if requests in self.values else []
         if name == "PARAM_REQUEST_LIST":
             self.listed += 1
             return [self.value(each) for each in sorted(self.values)]

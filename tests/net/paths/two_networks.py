@@ -116,10 +116,10 @@ class TwoNetworks:
             f"--map={each}=" + ",".join(f"{address(each, network)}:{PORT}" for network in NETWORKS)
             for each in HOSTS
         ]
-        words = ["up", str(self._folder / "mission.dL"), "--host", host, *maps, "--no-record"]
-        words += ["--keys", str(self._folder / "keys"), "--state", str(self._folder / f"state-{host}")]
+        arguments = ["up", str(self._folder / "mission.dL"), "--host", host, *maps, "--no-record"]
+        arguments += ["--keys", str(self._folder / "keys"), "--state", str(self._folder / f"state-{host}")]
         there = ["ip", "netns", "exec", self._named(host)]
-        made = self.hosts[host] = Host([*there, sys.executable, "-um", "lfield", *words])
+        made = self.hosts[host] = Host([*there, sys.executable, "-um", "lfield", *arguments])
         return made
 
     def sent(self, host: str, network: str) -> int:

@@ -165,7 +165,7 @@ def test_batches_are_forwarded_and_acknowledged() -> None:
         await asyncio.sleep(1.0)
         host.happens(LinkUp("a"), LinkUp("b"))
         await asyncio.sleep(1.0)
-        first, *others = [seen.batch for seen in host.all(EventAck)]
+        first, *others = [message.batch for message in host.all(EventAck)]
         assert first == 1
         assert others == list(range(1, len(others) + 1))
 
@@ -208,11 +208,13 @@ def test_repeated_events_are_dropped_and_gaps_are_counted() -> None:
 def test_missing_events_are_counted_once_by_their_numbers() -> None:
     cursor, host = StreamCursor(), ScriptedHost()
     cursor.accept(host.batch(1.0, LinkUp("a")))
-    told = host.batch(2.0, *(LinkUp(text) for text in "bcdef"))
-    kept = replace(told, events=[event for event in told.events if event.number in (3, 6)], lost={"state": 3})
-    assert cursor.accept(kept).lost == {"state": 3}
+    batch = host.batch(2.0, *(LinkUp(text) for text in "bcdef"))
+    stored = replace(
+        batch, events=[event for event in batch.events if event.number in (3, 6)], lost={"state": 3}
+    )
+    assert cursor.accept(stored).lost == {"state": 3}
     # The event arrives again, because it was in transit at the new subscription.
-    again = cursor.accept(kept)
+    again = cursor.accept(stored)
     assert (again.lost, again.events) == ({}, [])
     # Events missing at the end of a batch are counted only when another event follows.
     ends = replace(host.batch(3.0), after=9, latest=9, lost={"state": 3, "measured": 1})
@@ -262,9 +264,9 @@ def test_a_host_that_starts_later_is_followed_from_its_first_event() -> None:
         await asyncio.sleep(3.0)
         host = PlayedHost(scene.network)
         await asyncio.sleep(MAX_RETRY + 1.0)
-        (asked,) = host.all(Subscribe)
-        assert asked.incarnation not in (0, 7)
-        assert asked.after == 0
+        (request,) = host.all(Subscribe)
+        assert request.incarnation not in (0, 7)
+        assert request.after == 0
 
     recorder = played(story)
     assert "no program listens" in recorder.log[0]

@@ -43,8 +43,8 @@ def test_an_event_waits_for_a_possible_cause() -> None:
 
 def test_an_unreachable_host_is_reported_once_for_each_reason() -> None:
     desk = Desk()
-    for why in ("no program listens", "no program listens", "it was refused"):
-        desk.ears.on_unlinked("beta", why)
+    for reason in ("no program listens", "no program listens", "it was refused"):
+        desk.ears.on_unlinked("beta", reason)
     desk.ears.on_linked("beta")
     desk.ears.on_linked("beta")
     assert desk.said() == [
@@ -72,11 +72,11 @@ def test_telemetry_of_an_unreachable_time_is_reported_as_lost_without_a_count() 
     desk.ears.on_unlinked("alpha", "it was not read for 60 s")
     desk.ears.on_linked("alpha")
     desk.tell("alpha", LinkUp("y"))
-    notices = [told for told in desk.ears.drain_items() if isinstance(told, FeedNotice)]
+    notices = [item for item in desk.ears.drain_items() if isinstance(item, FeedNotice)]
     assert notices[-1] == FeedNotice("run-1/alpha", text, {"telemetry": None})
     desk.ears.on_linked("alpha")
     desk.tell("alpha", LinkUp("z"))
-    assert not [told for told in desk.ears.drain_items() if isinstance(told, FeedNotice)]
+    assert not [item for item in desk.ears.drain_items() if isinstance(item, FeedNotice)]
 
 
 def test_without_telemetry_no_lost_telemetry_is_reported() -> None:

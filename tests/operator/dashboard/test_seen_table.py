@@ -20,9 +20,9 @@ from lfield.wire.events import (
 
 def lines(picture: TeamView, now: float) -> list[str]:
     console = Console(width=160, record=True, markup=False, highlight=False, file=None, force_terminal=False)
-    with console.capture() as shown:
+    with console.capture() as output:
         console.print(table(picture.snapshot(now)))
-    return [line.rstrip() for line in shown.get().splitlines()]
+    return [line.rstrip() for line in output.get().splitlines()]
 
 
 def test_table_shows_lines_of_agents_and_last_states_of_dead_hosts() -> None:
@@ -35,12 +35,12 @@ def test_table_shows_lines_of_agents_and_last_states_of_dead_hosts() -> None:
     picture.feed("alpha", alpha.batch(5.0, AgentStarted("boss", 1), at), 5.0, 0.0)
     picture.feed("beta", beta.batch(5.0, DeviceLatched("two.fc", "land", "x")), 5.0, 0.0)
     picture.on_unlinked("beta", "no program listens there")
-    shown = lines(picture, 15.0)
-    assert [line.split() for line in shown if " boss " in line] == [
+    output = lines(picture, 15.0)
+    assert [line.split() for line in output if " boss " in line] == [
         ["alpha", "boss", "Boss", "in", "a", "portal", "mission.L:12,", "waits", "for", "two.lift", "0"]
     ]
-    assert any("no answer for 10 s" in line for line in shown)
-    assert any("two.fc" in line and "safe state not confirmed" in line for line in shown)
+    assert any("no answer for 10 s" in line for line in output)
+    assert any("two.fc" in line and "safe state not confirmed" in line for line in output)
 
 
 def test_changes_of_agents_and_devices_are_shown_in_words() -> None:

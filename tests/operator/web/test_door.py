@@ -89,14 +89,14 @@ def knock(
 ) -> list[dict]:
     """The answers of the middleware."""
     path, _, query = path.partition("?")
-    given = {"host": HERE, **headers}
+    fields = {"host": HERE, **headers}
     scope = {
         "type": kind,
         "path": path,
         "method": method,
         "client": ("127.0.0.1", 4711),
         "query_string": query.encode(),
-        "headers": [(name.encode(), value.encode("latin-1")) for name, value in given.items()],
+        "headers": [(name.encode(), value.encode("latin-1")) for name, value in fields.items()],
     }
     if kind == "websocket":
         del scope["method"]

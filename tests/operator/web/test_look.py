@@ -32,9 +32,9 @@ def looks_of(script: Script, time: Time) -> PageSnapshots:
 def test_snapshots_are_made_at_most_twenty_times_a_second_for_any_number_of_requests():
     time = Time()
     script = Script(2, now=time)
-    looks = looks_of(script, time)
+    views = looks_of(script, time)
     for _ in range(1000):
-        looks.snapshot(0)
+        views.snapshot(0)
         time.now += 0.001
     assert script.revision <= 1 + 1.0 / MIN_INTERVAL
 
@@ -42,11 +42,11 @@ def test_snapshots_are_made_at_most_twenty_times_a_second_for_any_number_of_requ
 def test_a_resumed_page_needs_one_snapshot():
     time = Time()
     script = Script(2, now=time)
-    looks = looks_of(script, time)
-    before = json.loads(looks.snapshot(0))
+    views = looks_of(script, time)
+    before = json.loads(views.snapshot(0))
     time.now += 3600.0
     script.say("alpha", "much has happened")
-    after = json.loads(looks.snapshot(before["log"][-1]["serial"] if before["log"] else 0))
+    after = json.loads(views.snapshot(before["log"][-1]["serial"] if before["log"] else 0))
     assert "much has happened" in [line["text"] for line in after["log"]]
     assert after["look"]["vehicles"][0]["place"] != before["look"]["vehicles"][0]["place"]
 

@@ -25,25 +25,25 @@ class Client:
     def __init__(self, page) -> None:
         link = urlsplit(page.link)
         self.address, self.cookie = link.netloc, ""
-        with closing(self.asks("GET", f"/?{link.query}")) as made:
-            self.cookie = made.getresponse().headers["set-cookie"].partition(";")[0]
+        with closing(self.asks("GET", f"/?{link.query}")) as response:
+            self.cookie = response.getresponse().headers["set-cookie"].partition(";")[0]
         page.line()
 
     def asks(self, method: str, path: str, **says: object) -> http.client.HTTPConnection:
-        made = http.client.HTTPConnection(self.address, timeout=60.0)
+        connection = http.client.HTTPConnection(self.address, timeout=60.0)
         headers = {"Cookie": self.cookie, "Origin": f"http://{self.address}"}
-        made.request(method, path, json.dumps(says) if says else None, headers)
-        return made
+        connection.request(method, path, json.dumps(says) if says else None, headers)
+        return connection
 
     def presses(self, action: str, pressed: float | None) -> tuple[int, str]:
-        with closing(self.asks("POST", "/act", action=action, pressed=pressed)) as made:
-            answer = made.getresponse()
+        with closing(self.asks("POST", "/act", action=action, pressed=pressed)) as response:
+            answer = response.getresponse()
             return answer.status, answer.read().decode()
 
     @property
     def look(self) -> dict[str, object]:
-        with closing(self.asks("GET", "/look")) as made:
-            return json.loads(made.getresponse().read())
+        with closing(self.asks("GET", "/look")) as response:
+            return json.loads(response.getresponse().read())
 
 
 @pytest.fixture
@@ -57,9 +57,9 @@ def test_a_press_is_dated_by_the_clock_of_the_snapshots(page) -> None:
     at = client.look["at"]
     assert abs(at - SystemClock().monotonic()) < 60.0
     assert client.presses("resume", at - 2 * MAX_DELAY)[0] == 409
-    status, why = client.presses("lift", at - 31.0)
+    status, refusal = client.presses("lift", at - 31.0)
     assert status == 409
-    assert "after the press, which is too late; check the state, and press it again" in why
+    assert "after the press, which is too late; check the state, and press it again" in refusal
     assert client.presses("lift", None)[0] == 409
     assert client.presses("pause", at - 31.0)[0] == 200
     assert page.line() == "pressed pause"

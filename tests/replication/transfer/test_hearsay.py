@@ -44,8 +44,8 @@ def membership_of(host: str, incarnation: int = 1, now: float = 0.0, hosts=HOSTS
 
 def missing(hearsay: Membership, now: float, lost_after: float = 10.0) -> tuple[set[str], set[str]]:
     """The silent hosts, and those reachable by others, when no host answers."""
-    absent = hearsay.unavailable_hosts((), now, lost_after, unmet=30.0)
-    return set(absent.silent_for), set(absent.reachable_by_others)
+    unreachable = hearsay.unavailable_hosts((), now, lost_after, unmet=30.0)
+    return set(unreachable.silent_for), set(unreachable.reachable_by_others)
 
 
 class GossipTeam:
@@ -81,19 +81,19 @@ class GossipTeam:
         while self.now < end:
             self.now += 0.01
             while self._posted and self._posted[0][0] <= self.now:
-                _, _, sender, receiver, heard = heapq.heappop(self._posted)
+                _, _, sender, receiver, gossip = heapq.heappop(self._posted)
                 if frozenset((sender, receiver)) in self.links:
-                    self.membership_of[receiver].on_gossip(sender, heard, self.now)
+                    self.membership_of[receiver].on_gossip(sender, gossip, self.now)
             for name, one in self.membership_of.items():
                 one.overlay_links(self.now)
                 if name not in self._dead and one.due is not None and one.due <= self.now:
                     self._post(name, one.next_gossip(self.now))
 
     def _post(self, sender: str, sent: list[tuple[str, GossipUpdate]]) -> None:
-        for receiver, heard in sent:
+        for receiver, gossip in sent:
             self.sent += 1
-            self.signs = max(self.signs, len(heard.counters), len(heard.probes))
-            heapq.heappush(self._posted, (self.now + LATENCY, self.sent, sender, receiver, heard))
+            self.signs = max(self.signs, len(gossip.counters), len(gossip.probes))
+            heapq.heappush(self._posted, (self.now + LATENCY, self.sent, sender, receiver, gossip))
 
     def steps(self, host: str) -> dict[str, int]:
         """The number of links between a host and each that can be reached from it."""
@@ -124,9 +124,9 @@ def test_under_any_cuts_a_reachable_host_is_heard_within_the_bound(number, dice)
     team = GossipTeam(number)
     team.run(SUSPICION_TIMEOUT + 1.0)
     for link in dice.sample(sorted(map(sorted, team.links)), len(team.links)):
-        whole = len(team.steps("h0"))
+        full_count = len(team.steps("h0"))
         team.links.discard(frozenset(link))
-        if len(team.steps("h0")) < whole:
+        if len(team.steps("h0")) < full_count:
             team.links.add(frozenset(link))
         else:
             team.cut(*link)
@@ -242,9 +242,13 @@ def test_hosts_that_answer_or_have_ended_are_not_missing():
     a = membership_of("a")
     a.on_linked("b", 7)
     a.ended.add("c")
-    absent = a.unavailable_hosts({"b"}, 100.0, 10.0, 30.0)
-    assert (set(absent.ended), set(absent.silent_for), list(absent.reachable_by_others)) == ({"c"}, {"d"}, [])
-    assert absent.state_ids == {"b": 7}
+    unreachable = a.unavailable_hosts({"b"}, 100.0, 10.0, 30.0)
+    assert (set(unreachable.ended), set(unreachable.silent_for), list(unreachable.reachable_by_others)) == (
+        {"c"},
+        {"d"},
+        [],
+    )
+    assert unreachable.state_ids == {"b": 7}
 
 
 def test_a_new_life_counts_from_the_beginning_and_an_old_one_is_ignored():
@@ -255,8 +259,8 @@ def test_a_new_life_counts_from_the_beginning_and_an_old_one_is_ignored():
     assert "b" in missing(a, 29.0)[1]
     a.on_gossip("c", GossipUpdate([LivenessCounter(1, 11, 500)], []), 29.0)
     assert "b" in missing(a, 30.0)[0]
-    ((to, heard),) = a.next_gossip(30.0)
-    assert (to, heard.counters) == ("c", [LivenessCounter(1, 22, 1)])
+    ((to, gossip),) = a.next_gossip(30.0)
+    assert (to, gossip.counters) == ("c", [LivenessCounter(1, 22, 1)])
 
 
 def test_queries_about_the_same_host_are_all_forwarded():
@@ -264,8 +268,8 @@ def test_queries_about_the_same_host_are_all_forwarded():
     a.on_linked("b", 1)
     questions = [LivenessCounter(2, 7, HEARTBEAT_CREDIT), LivenessCounter(2, 0, HEARTBEAT_CREDIT)]
     a.on_gossip("b", GossipUpdate([], questions), 1.0)
-    ((_, heard),) = a.next_gossip(1.0)
-    assert heard.probes == questions
+    ((_, gossip),) = a.next_gossip(1.0)
+    assert gossip.probes == questions
 
 
 def test_a_queried_host_gives_no_more_signs_than_requested():
@@ -275,8 +279,8 @@ def test_a_queried_host_gives_no_more_signs_than_requested():
     counts = [
         sign.count
         for second in range(100)
-        for _, heard in a.next_gossip(float(second))
-        for sign in heard.counters
+        for _, gossip in a.next_gossip(float(second))
+        for sign in gossip.counters
         if sign.host == 0
     ]
     assert counts == list(range(1, HEARTBEAT_CREDIT + 1))
@@ -345,10 +349,10 @@ def test_neighbours_that_do_not_answer_are_replaced():
 def test_a_host_without_answers_dials_all_others_in_time():
     hosts = [f"h{n}" for n in range(20)]
     one = Overlay(hosts, 4)
-    dice = random.Random(1)
+    rng = random.Random(1)
     now = 0.0
     while now < 100.0:
-        now += dice.random()
+        now += rng.random()
         one.links(now)
     assert one.chosen == set(hosts) - {"h4"}
 

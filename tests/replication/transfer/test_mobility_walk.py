@@ -15,7 +15,7 @@ from lfield.wire.coordinator_messages import NEVER_ARRIVED, TransferQuery, Trans
 
 def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:
     """One walk, checked after every step and after the network is healed."""
-    dice = random.Random(seed)
+    rng = random.Random(seed)
     world = World("abc", {"Tour:one": "a", "Tour:two": "b"}, machine)
     for pair in world.unlinked_pairs():
         world.connect(*pair)
@@ -31,8 +31,8 @@ def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:
         disturb: 0.3,
     }
     actions, odds = list(weights), list(weights.values())
-    for action in dice.choices(actions, odds, k=steps):
-        action(world, dice)
+    for action in rng.choices(actions, odds, k=steps):
+        action(world, rng)
         world.check()
     world.heal()
     world.check_healed()

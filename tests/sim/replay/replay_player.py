@@ -179,15 +179,15 @@ class _Player:
         real, own = self.trace.last("HEARTBEAT", t), self.newest.get("HEARTBEAT")
         if real is None or own is None or _armed(real) or not _armed(own):
             return False
-        asked = [
+        times = [
             line.t for line in self.trace.inputs if line.fields.get("command") in (400, 300) and line.t < t
         ]
-        since = max(asked, default=0.0)
-        return any(_armed(beat) for beat in self.trace.between(since, t, "HEARTBEAT"))
+        since = max(times, default=0.0)
+        return any(_armed(heartbeat) for heartbeat in self.trace.between(since, t, "HEARTBEAT"))
 
     def _is_to_be_ready(self, t: float) -> bool:
-        beat = self.trace.last("HEARTBEAT", t)
-        if beat is not None and _armed(beat):
+        heartbeat = self.trace.last("HEARTBEAT", t)
+        if heartbeat is not None and _armed(heartbeat):
             # No wait for a flying vehicle: its bit changes often.
             return False
         real, own = self.trace.last("SYS_STATUS", t), self.newest.get("SYS_STATUS")

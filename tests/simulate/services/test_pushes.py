@@ -30,13 +30,13 @@ def test_pushes_keep_every_promise(first: int) -> None:
 
 
 def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
-    stories = [draw_push_story(seed) for seed in range(60)]
-    assert {fault.kind for story in stories for fault in story.faults} == KINDS.keys()
-    steps = [step for story in stories for own in story.steps for step in own]
+    scenarios = [draw_push_story(seed) for seed in range(60)]
+    assert {fault.kind for scenario in scenarios for fault in scenario.faults} == KINDS.keys()
+    steps = [step for scenario in scenarios for own in scenario.steps for step in own]
     assert {step.action for step in steps} == {"push", "push without", "start", "stop", "discard"}
     assert any(step.dies_after for step in steps)
-    assert {story.robots for story in stories} == {2, 3, 4}
-    assert {len(story.steps) for story in stories} == {1, 2, 3}
+    assert {scenario.robots for scenario in scenarios} == {2, 3, 4}
+    assert {len(scenario.steps) for scenario in scenarios} == {1, 2, 3}
 
 
 @pytest.mark.few(0)

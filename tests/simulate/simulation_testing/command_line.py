@@ -102,10 +102,12 @@ def _pushes(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
 
 
 def _run_scenarios(args: argparse.Namespace) -> int:
-    given = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
+    options = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
     draws = KINDS[args.kind] if args.kind else draw_scenario
-    story: Scenario = replace(draws(args.story), **{name: v for name, v in given.items() if v is not None})
-    verdict = run_scenario(story, keep_log=True)
+    scenario: Scenario = replace(
+        draws(args.story), **{name: v for name, v in options.items() if v is not None}
+    )
+    verdict = run_scenario(scenario, keep_log=True)
     if not args.quiet:
         _print(verdict.log, verdict.faults)
     for breach in verdict.breaches:
@@ -134,9 +136,9 @@ def _run_mission(args: argparse.Namespace) -> int:
 
 
 def _print(log: Iterable[tuple[float, str, str]], faults: Iterable[tuple[float, str]]) -> None:
-    weather = [(at, "weather", what) for at, what in faults]
-    for at, who, text in sorted([*log, *weather], key=lambda line: line[0]):
-        print(f"{at:12.6f} {who} | {text.rstrip()}")
+    fault_log = [(at, "weather", what) for at, what in faults]
+    for at, host, text in sorted([*log, *fault_log], key=lambda line: line[0]):
+        print(f"{at:12.6f} {host} | {text.rstrip()}")
 
 
 def _count(text: str) -> int:

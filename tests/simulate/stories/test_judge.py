@@ -74,28 +74,28 @@ def test_racer_scenarios_keep_every_promise() -> None:
 @pytest.mark.few(0)
 def test_keeper_scenarios_keep_every_promise() -> None:
     recovered = 0
-    rounds, begun = Counter[str](), Counter[str]()
+    rounds, started = Counter[str](), Counter[str]()
     for seed in range(16):
         verdict = run_scenario(keeper(seed), keep_log=True)
         assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
         recovered += verdict.recovered
         lines = [text.split() for _, _, text in verdict.log]
         rounds.update(words[-1] for words in lines if "quits" in words)
-        begun.update(words[-1] for words in lines if words[:1] == ["uses"])
+        started.update(words[-1] for words in lines if words[:1] == ["uses"])
     assert recovered > 0
-    assert begun["inside"] > 200
-    assert begun["alone"] > 20
+    assert started["inside"] > 200
+    assert started["alone"] > 20
     assert {"done", "taken", "lost", "failed", "restarted"} <= rounds.keys()
 
 
 def test_the_judge_observes_all_kinds_of_events() -> None:
     judge = RunJudge()
-    story = replace(draw_scenario(1), keep=frozenset(), walkers=3, arms=0, stay=0.04)
-    judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
+    scenario = replace(draw_scenario(1), keep=frozenset(), walkers=3, arms=0, stay=0.04)
+    judge.fleet = Fleet(scenario.mission, 1, on_start=judge.on_host_start)
     judge.fleet.run(8.0)
     judge.check()
     assert not judge.breaches
-    assert judge.counts["starts"] == story.walkers
+    assert judge.counts["starts"] == scenario.walkers
     assert min(judge.counts["injections"], judge.calls) > 10
     judge.fleet.close()
 
@@ -103,8 +103,8 @@ def test_the_judge_observes_all_kinds_of_events() -> None:
 def test_the_judge_finds_a_call_for_a_superseded_copy() -> None:
     """Two hosts continue one coordinator, which no real host does: the judge finds it independently."""
     judge = RunJudge()
-    story = replace(fenced(1), keep=frozenset(), hosts=3, walkers=1, arms=0, calls=FOR_EVER, stay=0.04)
-    judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
+    scenario = replace(fenced(1), keep=frozenset(), hosts=3, walkers=1, arms=0, calls=FOR_EVER, stay=0.04)
+    judge.fleet = Fleet(scenario.mission, 1, on_start=judge.on_host_start)
     judge.fleet.run(3.0)
     shadow = next(
         page for page in judge.fleet.pages_left if isinstance(page, CoordinatorRecord) and page.block
@@ -133,8 +133,10 @@ def test_the_judge_finds_a_repeated_number_while_the_first_start_waits_elsewhere
     # A start waits until vehicles report that they are on the ground, so until devices are open.
     monkeypatch.setattr(Mission, "vehicles_of", lambda self, host: [])
     judge = RunJudge()
-    story = replace(draw_scenario(1), keep=frozenset(), hosts=3, walkers=1, arms=2, calls=FOR_EVER, stay=0.04)
-    fleet = judge.fleet = Fleet(story.mission, seed, on_start=judge.on_host_start)
+    scenario = replace(
+        draw_scenario(1), keep=frozenset(), hosts=3, walkers=1, arms=2, calls=FOR_EVER, stay=0.04
+    )
+    fleet = judge.fleet = Fleet(scenario.mission, seed, on_start=judge.on_host_start)
     fleet.run(0.3)
     assert not judge.calls
     fleet.power_off("h0")
@@ -174,10 +176,10 @@ def test_a_breach_is_reported_with_its_command_and_shrunk(
     assert len(small.faults) < len(found.faults)
     assert run_scenario(small.story).digest == small.digest
     assert command(small.story).startswith("python tests/simulate/simulate.py --story 6 --")
-    said = Console(file=io.StringIO(), width=200)
-    tally = run_seeds(range(6, 7), processes=1, console=said)
+    console = Console(file=io.StringIO(), width=200)
+    tally = run_seeds(range(6, 7), processes=1, console=console)
     assert [verdict.digest for verdict in tally.broken] == [found.digest]
-    assert "1 seeds, 1 breaches (I1 1)" in said.file.getvalue()
+    assert "1 seeds, 1 breaches (I1 1)" in console.file.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -203,5 +205,5 @@ def test_the_last_place_of_a_start_has_the_highest_number() -> None:
 
     old, new = page("PREPARED", 5, "gone"), page("PREPARED", 9, "well")
     assert last_location(("w0", 1), [old, new, page("MOVED", 11, "gone")]) is new
-    assert last_location(("w0", 1), [old, taken := page("RUN", 5)]) is taken
+    assert last_location(("w0", 1), [old, newer := page("RUN", 5)]) is newer
     assert last_location(("w0", 2), [old, new]) is None

@@ -26,32 +26,32 @@ from simulation_testing.simulated_operator import Hold, SimulatedOperator
 @pytest.mark.few(0)
 @pytest.mark.parametrize("kind", ["split", "wrecked", "crowd", "flown"])
 def test_rare_scenarios_keep_every_promise(kind: str) -> None:
-    seen = Counter[str]()
+    totals = Counter[str]()
     for seed in range(3):
         verdict = run_seed(seed, KINDS[kind])
         assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
-        seen.update(calls=verdict.calls, **verdict.orders)
-    assert seen["calls"] > 20
-    assert kind != "wrecked" or seen["recover"] + seen["forget"] > 0
+        totals.update(calls=verdict.calls, **verdict.orders)
+    assert totals["calls"] > 20
+    assert kind != "wrecked" or totals["recover"] + totals["forget"] > 0
 
 
 @pytest.mark.few(0)
 def test_hosts_keep_confirmed_orders() -> None:
-    seen = Counter[str]()
+    totals = Counter[str]()
     for seed in range(6):
-        story = under_orders(replace(plain(seed), journals=True), random.Random(seed))
-        verdict = run_scenario(story)
+        scenario = under_orders(replace(plain(seed), journals=True), random.Random(seed))
+        verdict = run_scenario(scenario)
         assert not verdict.breaches, verdict.breaches[0]
-        seen.update(verdict.orders)
-    assert min(seen["stop"], seen["pause"]) > 3
+        totals.update(verdict.orders)
+    assert min(totals["stop"], totals["pause"]) > 3
 
 
 def test_seeds_draw_scenarios_of_all_kinds() -> None:
-    stories = [draw_scenario(seed) for seed in range(400)]
-    assert {story.kind for story in stories} == KINDS.keys()
-    struck = {kind for story in stories for kind in story.means}
+    scenarios = [draw_scenario(seed) for seed in range(400)]
+    assert {scenario.kind for scenario in scenarios} == KINDS.keys()
+    struck = {kind for scenario in scenarios for kind in scenario.means}
     assert struck == FaultRates.__dataclass_fields__.keys()
-    assert {story.slowness for story in stories} > {1.0}
+    assert {scenario.slowness for scenario in scenarios} > {1.0}
 
 
 def test_a_team_of_more_than_nine_hosts_links_only_neighbours() -> None:
@@ -62,12 +62,12 @@ def test_a_team_of_more_than_nine_hosts_links_only_neighbours() -> None:
 
 def test_code_takes_processor_time_on_a_slow_computer() -> None:
     """A host that runs much code is late with all its actions."""
-    story = replace(plain(1), keep=frozenset(), hosts=3, walkers=3, arms=0, calls=FOR_EVER, stay=0.04)
+    scenario = replace(plain(1), keep=frozenset(), hosts=3, walkers=3, arms=0, calls=FOR_EVER, stay=0.04)
     calls = []
     for slowness in (1.0, 1000.0):
         judge = RunJudge()
         judge.fleet = Fleet(
-            story.mission, 1, on_start=judge.on_host_start, options=FleetOptions(slowness=slowness)
+            scenario.mission, 1, on_start=judge.on_host_start, options=FleetOptions(slowness=slowness)
         )
         judge.fleet.run(8.0)
         calls.append(judge.calls)
@@ -76,9 +76,9 @@ def test_code_takes_processor_time_on_a_slow_computer() -> None:
 
 
 def test_an_operator_stops_and_pauses_a_team_until_it_is_lifted() -> None:
-    story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
+    scenario = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
     judge = RunJudge()
-    fleet = judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
+    fleet = judge.fleet = Fleet(scenario.mission, 1, on_start=judge.on_host_start)
     operator = SimulatedOperator(fleet, judge.orders, random.Random(1))
     fleet.run(4.0)
     operator.press("pause", 3.0)
@@ -103,9 +103,9 @@ def test_an_operator_stops_and_pauses_a_team_until_it_is_lifted() -> None:
 
 @pytest.mark.parametrize("hold", ["stop", "pause"])
 def test_a_late_order_does_not_end_a_stop_given_after_it(hold: Hold) -> None:
-    story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
+    scenario = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
     judge = RunJudge()
-    fleet = judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
+    fleet = judge.fleet = Fleet(scenario.mission, 1, on_start=judge.on_host_start)
     operator = SimulatedOperator(fleet, judge.orders, random.Random(1))
 
     def held() -> list[bool]:
@@ -125,8 +125,8 @@ def test_a_late_order_does_not_end_a_stop_given_after_it(hold: Hold) -> None:
     assert held() == [True] * 3
     fleet.run(5.0)
     assert held() == [True] * 3
-    why = NEWER_ORDER.format(HOLD_NAMES[hold], HOLD_NAMES[hold])
-    assert any(why in text for _, _, text in fleet.log)
+    reason = NEWER_ORDER.format(HOLD_NAMES[hold], HOLD_NAMES[hold])
+    assert any(reason in text for _, _, text in fleet.log)
     judge.check()
     assert not judge.breaches
     operator.free_all()

@@ -148,9 +148,9 @@ def test_one_image_has_tickets() -> None:
     counts = []
     for image in IMAGES:
         block = CHECKERS[1].check(image, LIMIT)
-        walked = heaps().verify_heap(block.data, block.heap, block.top, CHECKERS[1].schema)
-        assert walked is not None
-        counts.append(len(walked[1]))
+        verified = heaps().verify_heap(block.data, block.heap, block.top, CHECKERS[1].schema)
+        assert verified is not None
+        counts.append(len(verified[1]))
     # Three calls, and their list.
     assert sorted(counts) == [0, 0, 4]
 
@@ -234,10 +234,10 @@ OF_HEADERS = ("magic", "another program", "its size", "heartbeat", "its clock", 
 def test_random_heaps_valid_or_not_give_the_same_verdict(seed: int, tickets: bool) -> None:
     """Without errors of objects, Python is not asked about them; it checks tickets."""
     heap = RandomHeap(seed, tickets=tickets)
-    dice = random.Random(seed)
+    rng = random.Random(seed)
     image = bytes(heap.block.image())
-    if dice.random() < 0.8:
-        image = damaged(image, dice)
+    if rng.random() < 0.8:
+        image = damaged(image, rng)
     first, second = (
         error_of(lambda c=checker: c.check(image, LIMIT)) for checker in checkers(heap.program, MEMBERS)
     )
@@ -247,16 +247,16 @@ def test_random_heaps_valid_or_not_give_the_same_verdict(seed: int, tickets: boo
     data[:] = image
     w = memoryview(data).cast("q")
     top, heap_at = len(w), layout.HEADER_WORDS
-    walked = space.verify_heap(data, heap_at, top, heap.shapes)
+    verified = space.verify_heap(data, heap_at, top, heap.shapes)
     if w[layout.W_MAGIC] != layout.MAGIC | layout.VERSION << 32:
         return
     if any(what in first for what in OF_THINGS):
-        assert walked is None
+        assert verified is None
     elif not any(what in first for what in (*OF_HEADERS, *OF_TICKETS)):
-        assert walked is not None
-    if walked is None:
+        assert verified is not None
+    if verified is None:
         return
-    starts, places = walked
+    starts, places = verified
     place, found = heap_at, {}
     while place < top:
         found[place] = w[place] & 0xFFFFFFFF

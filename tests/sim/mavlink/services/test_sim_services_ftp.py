@@ -228,8 +228,8 @@ def test_file_is_renamed():
 
 
 def test_generated_file_reports_another_size_and_checksum():
-    made = GeneratedFile(lambda: b"12345", lambda: 999, checks=False)
-    c = Client(FtpServer(FileTree({}, {"@PARAM/x": made}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
+    generated = GeneratedFile(lambda: b"12345", lambda: 999, checks=False)
+    c = Client(FtpServer(FileTree({}, {"@PARAM/x": generated}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
     assert c.listing("@PARAM/") == ["Fx\t999"]
     opened = c.ok(FtpOpcode.OPEN_READ, "@PARAM/x")
     assert struct.unpack("<I", opened.data) == (999,)

@@ -97,11 +97,11 @@ def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bo
         orders = dict(storm.operator.carried_out) if storm.operator else {}
         came_of_it = outcome.digest(fleet, orders, [breach.name for breach in judge.breaches])
         fleet.close()
-    said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
+    digest = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
     recovered, faults = judge.counts["recoveries"], tuple(storm.faults)
     counts = judge.calls, judge.restarts, recovered, orders
-    return RunVerdict(story, tuple(judge.breaches), said, came_of_it, fleet.now, faults, *counts, log)
+    return RunVerdict(story, tuple(judge.breaches), digest, came_of_it, fleet.now, faults, *counts, log)
 
 
 def _happen(fleet: Fleet, storm: FaultInjector, judge: RunJudge, story: Scenario) -> None:
@@ -114,8 +114,8 @@ def _happen(fleet: Fleet, storm: FaultInjector, judge: RunJudge, story: Scenario
     judge.on_healed()
     waits = MIN_CALLS * story.reserved_wait * (story.kind in RESERVES)
     # An operator forgets a coordinator only when its transfer is in doubt.
-    doubt = max(story.unreachable_after, MIN_DOUBT_TIME)
-    end = fleet.now + PROGRESS_TIMEOUT + doubt + story.interval + waits
+    doubt_reason = max(story.unreachable_after, MIN_DOUBT_TIME)
+    end = fleet.now + PROGRESS_TIMEOUT + doubt_reason + story.interval + waits
     while judge.waits_for() and fleet.now < end and not judge.breaches:
         # A suspended host may end regularly, or give the others up, just after the end of the faults.
         fleet.heal_all()
@@ -125,7 +125,7 @@ def _happen(fleet: Fleet, storm: FaultInjector, judge: RunJudge, story: Scenario
             fleet.restart_ended(exit_status.UNKNOWN_OUTCOME)
         _until(fleet, judge, fleet.now + 1.0)
     if story.hosts > MAX_MEMBERS and not judge.breaches:
-        settled = fleet.now + SETTLES + doubt
+        settled = fleet.now + SETTLES + doubt_reason
         while fleet.now < settled and not judge.breaches:
             if storm.operator is not None:
                 storm.operator.free_all()

@@ -20,9 +20,9 @@ def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
     name, best = found.breaches[0].name, found
     tries = most
     while tries > 0:
-        for story in _smaller(best):
+        for scenario in _smaller(best):
             tries -= 1
-            verdict = run_scenario(story)
+            verdict = run_scenario(scenario)
             if any(breach.name == name for breach in verdict.breaches):
                 best = verdict
                 break
@@ -35,28 +35,31 @@ def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
 
 def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
     """Slightly smaller scenarios, the smallest first."""
-    story = verdict.story
-    if verdict.seconds + 0.1 < story.seconds:
-        yield replace(story, seconds=round(verdict.seconds + 0.1, 3))
-    struck = [number for number, fault in story.numbered if fault.at < story.seconds]
+    scenario = verdict.story
+    if verdict.seconds + 0.1 < scenario.seconds:
+        yield replace(scenario, seconds=round(verdict.seconds + 0.1, 3))
+    struck = [number for number, fault in scenario.numbered if fault.at < scenario.seconds]
     size = len(struck)
-    if size < len(story.numbered):
-        yield replace(story, keep=frozenset(struck))
-    if story.hosts > 2:
-        witnesses = max(0, story.witnesses - 1)
+    if size < len(scenario.numbered):
+        yield replace(scenario, keep=frozenset(struck))
+    if scenario.hosts > 2:
+        witnesses = max(0, scenario.witnesses - 1)
         yield replace(
-            story, hosts=story.hosts - 1, arms=min(story.arms, story.hosts - 1), witnesses=witnesses
+            scenario,
+            hosts=scenario.hosts - 1,
+            arms=min(scenario.arms, scenario.hosts - 1),
+            witnesses=witnesses,
         )
-    if story.walkers > 1:
-        yield replace(story, walkers=story.walkers - 1)
-    if story.arms:
-        yield replace(story, arms=story.arms - 1)
+    if scenario.walkers > 1:
+        yield replace(scenario, walkers=scenario.walkers - 1)
+    if scenario.arms:
+        yield replace(scenario, arms=scenario.arms - 1)
     while size > 1:
         size = (size + 1) // 2
         for first in range(0, len(struck), size):
-            yield replace(story, keep=frozenset(struck[:first] + struck[first + size :]))
+            yield replace(scenario, keep=frozenset(struck[:first] + struck[first + size :]))
     if len(struck) == 1:
-        yield replace(story, keep=frozenset())
+        yield replace(scenario, keep=frozenset())
 
 
 def command(story: Scenario) -> str:

@@ -43,12 +43,12 @@ def shrink_push_story(found: PushVerdict, most: int = MAX_TRIALS) -> PushVerdict
     """The smallest scenario that was found with the same breach."""
     name, best, tries = found.breaches[0].name, found, 0
     smaller = iter(smaller_stories(best.story))
-    while (story := next(smaller, None)) is not None and tries < most:
+    while (scenario := next(smaller, None)) is not None and tries < most:
         tries += 1
-        verdict = run_push_story(story, keep_log=True)
+        verdict = run_push_story(scenario, keep_log=True)
         if any(breach.name == name for breach in verdict.breaches):
             best = verdict
-            smaller = iter(smaller_stories(story))
+            smaller = iter(smaller_stories(scenario))
     return best
 
 

@@ -160,11 +160,11 @@ def _happen(fleet: ServiceFleet, story: PushStory) -> None:
         SimulatedDesk(fleet, f"desk{number}", steps, random.Random(rng.random()))
         for number, steps in enumerate(story.steps)
     ]
-    weather = PushWeather(fleet, story, desks)
+    faults = PushWeather(fleet, story, desks)
     last = SimulatedDesk(fleet, "desk", (), random.Random(rng.random()))
     try:
         fleet.run(story.seconds)
-        weather.end()
+        faults.end()
         end = fleet.now + SETTLES
         fleet.run(2 * RESOLVE_EVERY)
         while judge.undecided and fleet.now < end and not judge.breaches:
