@@ -66,7 +66,7 @@ def test_request_data_stream_starts_and_stops_streams():
 
 @pytest.mark.parametrize("kind", sorted(MESSAGES.keys() - {436}))
 def test_every_message_can_be_requested_once(kind):
-    flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.lacks else "ardupilot"
+    flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.unknown_messages else "ardupilot"
     c = Client(flavour=flavour)
     c.autopilot.parameters |= {"FENCE_ENABLE": 1, "EKF2_DRAG_CTRL": 1}
     targets = (
