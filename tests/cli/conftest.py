@@ -26,7 +26,7 @@ from lfield.testing.keyring import Keyring
 
 ROOT = Path(__file__).parents[2]
 #: Seconds for events that depend on the load of the computer.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 #: The environment variable that marks the processes of a test and their children.
 MARK = "LFIELD_TEST_RUN"
 #: The flag of an exiting process in /proc/PID/stat (include/linux/sched.h).
@@ -89,18 +89,18 @@ class Process:
             return bool(found) or not any(reader.is_alive() for reader in self._readers)
 
         with self._changed:
-            self._changed.wait_for(seen, PATIENCE)
+            self._changed.wait_for(seen, TIMEOUT)
         assert found, f"nothing like {pattern!r} in\n{self.said}"
         return found[0]
 
     def wait(self) -> int:
         """Wait for the end and read all lines; returns the exit status."""
         try:
-            status = self.popen.wait(PATIENCE)
+            status = self.popen.wait(TIMEOUT)
         except subprocess.TimeoutExpired:
             pytest.fail(f"it does not end; it said\n{self.said}")
         for reader in self._readers:
-            reader.join(PATIENCE)
+            reader.join(TIMEOUT)
         assert "Traceback" not in self.said, self.said
         return status
 
@@ -254,7 +254,7 @@ class Lfield:
 
     def all_ended(self) -> bool:
         """Return true if all processes end within the time limit and their files are closed."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while (self.left() or any(map(is_exiting, all_processes()))) and time.monotonic() < end:
             time.sleep(0.05)
         return not self.left()
@@ -266,11 +266,11 @@ class Lfield:
             except ProcessLookupError:
                 continue
         for process in self.started:
-            process.popen.wait(PATIENCE)
+            process.popen.wait(TIMEOUT)
             if process.popen.stdin:
                 process.popen.stdin.close()
             for reader in process._readers:
-                reader.join(PATIENCE)
+                reader.join(TIMEOUT)
 
 
 @dataclass(frozen=True)

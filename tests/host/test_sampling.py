@@ -168,7 +168,7 @@ def test_a_device_is_silent_after_the_shortest_maximum_age_of_its_values(install
 
 
 def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
-    async def story():
+    async def scenario():
         clock = ManualClock()
         guard = GuardProcess(
             installed.by_driver["mavlink"],
@@ -191,4 +191,4 @@ def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
         problem = guard.unavailability("sky.fc")
         assert problem.sentence(clock.now) == "fc: no message for 1000 s"
 
-    asyncio.run(story())
+    asyncio.run(scenario())

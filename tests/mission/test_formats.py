@@ -42,7 +42,7 @@ def test_a_program_file_of_an_earlier_release_runs(path: Path) -> None:
     mission = load_mission(FORMATS / "hello.dL", path)
     out, log = io.StringIO(), io.StringIO()
 
-    async def story() -> str:
+    async def scenario() -> str:
         loop = asyncio.get_running_loop()
         network = MemoryNetwork(LoopClock(), on_pending=lambda: loop.call_soon(network.step))
         hosts = [
@@ -63,7 +63,7 @@ def test_a_program_file_of_an_earlier_release_runs(path: Path) -> None:
                 await host.stop()
         return outcome.outcome
 
-    assert run_jumping(story()) == "died"
+    assert run_jumping(scenario()) == "died"
     assert "boss: lifting 3.0" in log.getvalue()
     assert "LimitException: too heavy: 3.0\n    at Arm.lift (hello.L:12) in left" in log.getvalue()
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 #: Seconds until a test fails; a busy computer may be slow.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 PEER = Path(__file__).with_name("peer.py")
 
 
@@ -67,21 +67,21 @@ class Process:
             return next((line for line in self.lines[since:] if re.search(pattern, line)), None)
 
         with self._changed:
-            self._changed.wait_for(found, PATIENCE)
+            self._changed.wait_for(found, TIMEOUT)
             line = found()
         assert line, "\n".join([f"no line matches {pattern!r}:", *self.lines])
         return float(line.split()[0])
 
     def kill(self) -> None:
         self._popen.send_signal(signal.SIGKILL)
-        self._popen.wait(PATIENCE)
+        self._popen.wait(TIMEOUT)
 
     def end(self) -> None:
         if self._popen.poll() is None:
             self.kill()
         assert self._popen.stdin is not None
         self._popen.stdin.close()
-        self._reader.join(PATIENCE)
+        self._reader.join(TIMEOUT)
         assert self._popen.stdout is not None
         self._popen.stdout.close()
 

@@ -158,13 +158,13 @@ class HostBench:
 
 @pytest.fixture(params=["unix", "tls"])
 def runner(request):
-    """Run a story at a host."""
+    """Run the steps of a test at a host."""
 
-    def run(story) -> None:
+    def run(steps) -> None:
         async def main() -> None:
             server = HostBench(request.param)
             try:
-                await story(server)
+                await steps(server)
             finally:
                 server.close()
 
@@ -278,11 +278,11 @@ async def test_a_link_that_closes_while_it_waits_is_removed(inn, /):
 # TLS only
 
 
-def run_tls(story) -> None:
+def run_tls(steps) -> None:
     async def main() -> None:
         server = HostBench("tls")
         try:
-            await story(server)
+            await steps(server)
         finally:
             server.close()
 

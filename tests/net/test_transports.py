@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from certificates import Team
-from loop_bench import PATIENCE, TcpBench
+from loop_bench import TIMEOUT, TcpBench
 
 from lfield.authority.identity import ALL_RIGHTS
 from lfield.errors import AddressError, HandshakeError, WireError
@@ -233,7 +233,7 @@ def test_an_unauthenticated_peer_gets_no_reply(tls):
             raw.sendall(data)
             raw.shutdown(socket.SHUT_WR)
             tls.until(lambda: called.ends)
-            raw.settimeout(PATIENCE)
+            raw.settimeout(TIMEOUT)
             with suppress(ConnectionResetError):
                 assert raw.recv(1) == b""
     assert called.messages == []
@@ -287,7 +287,7 @@ def test_a_dial_that_is_cancelled_in_the_handshake_closes_its_connection():
         dial = asyncio.ensure_future(bench.connect(address, Recorder()))
         await received.wait()
         dial.cancel()
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(TIMEOUT):
             await ended.wait()
         server.close()
 

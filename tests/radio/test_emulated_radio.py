@@ -47,8 +47,8 @@ def echo(radio: Radio, name: str) -> None:
     assert server.stdout.readline() == b"ready\n"
 
 
-def ask(radio: Radio, name: str, address: str, patience: float = 60.0) -> str:
-    command = [sys.executable, "-Sc", ASK, address, patience]
+def ask(radio: Radio, name: str, address: str, timeout: float = 60.0) -> str:
+    command = [sys.executable, "-Sc", ASK, address, timeout]
     return str(radio[name].run(command, capture_output=True, text=True, check=True).stdout.strip())
 
 

@@ -227,14 +227,14 @@ def test_kill_before_or_after_each_save_leaves_a_consistent_state(activates: boo
         assert not robot.probe.held
         assert not robot.files.record.held
 
-    async def story() -> None:
+    async def scenario() -> None:
         saves = await saves_of(activates=activates)
         assert saves > 5
         for save in range(1, saves + 1):
             for after in (0.0, 0.5):
                 await killed_at(save + after)
 
-    run_jumping(story())
+    run_jumping(scenario())
 
 
 async def test_process_record_survives_reuse_of_the_process_id() -> None:

@@ -54,7 +54,7 @@ from lfield.vm.host_calls import HostCallDispatcher
 
 HOPS, WARM_UP = 60, 40
 #: Seconds of virtual time that these hops take at most.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 _PACKAGE = str(Path(lfield.__file__).parent)
 #: A portal that commands a vehicle, for the device instruction.
 _DEVICE_PROGRAM = """
@@ -211,7 +211,7 @@ def device_call(folder: Path) -> Walk:
         patch.setattr(HostCallDispatcher, "dispatch", dispatched)
         patch.setattr(Hardware, "command", commanded)
         fleet = Fleet(mission, options=FleetOptions(keeps=False))
-        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < PATIENCE:
+        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < TIMEOUT:
             fleet.run(1.0)
         sys.setprofile(None)
     fleet.close()
@@ -225,7 +225,7 @@ def simulated_hops(folder: Path, *, journals: bool) -> list[Walk]:
     mission = load_mission(_written(folder))
     with recording() as recorder:
         fleet = Fleet(mission, options=FleetOptions(keeps=journals))
-        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < PATIENCE:
+        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < TIMEOUT:
             fleet.run(1.0)
     fleet.close()
     hops = recorder.walks[WARM_UP : WARM_UP + HOPS]

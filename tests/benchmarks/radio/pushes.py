@@ -24,7 +24,7 @@ from radio_fleet import DESK, HOSTS, RadioFleet, result_of
 
 PUSH_CELLS = ("perfect", "200 ms + 5 %", "57.6 kbit/s + 100 ms + 5 %", "20 %")
 #: Lines of text in the program, and seconds for one push.
-LINES, PATIENCE = 150, 300.0
+LINES, TIMEOUT = 150, 300.0
 PORT, SERVICE = 9000, 8182
 #: A program that receives a file and confirms it.
 RECEIVER = f"""
@@ -67,7 +67,7 @@ def _cell(cell: str, samples: int, tick: Tick) -> Iterator[Row]:
     with Processes() as processes, Radio(*HOSTS, DESK) as radio:
         fleet = RadioFleet(radio, Path(processes.folder()))
         fleet.up()
-        size = result_of(fleet.desk("push", fleet.mission(LINES), "--json"), PATIENCE)["size"]
+        size = result_of(fleet.desk("push", fleet.mission(LINES), "--json"), TIMEOUT)["size"]
         for host in HOSTS:
             server = radio[host].start([sys.executable, "-Sc", RECEIVER], stdout=subprocess.PIPE)
             assert server.stdout is not None
@@ -81,7 +81,7 @@ def _cell(cell: str, samples: int, tick: Tick) -> Iterator[Row]:
             mission = fleet.mission(LINES, last=f"change {number}")
             radio.reset()
             started = time.monotonic()
-            done = result_of(fleet.desk("push", mission, "--json"), PATIENCE)
+            done = result_of(fleet.desk("push", mission, "--json"), TIMEOUT)
             assert done["outcome"] == "activated", done
             pushes.append(time.monotonic() - started)
             sent.append(radio.total(SERVICE).bytes)

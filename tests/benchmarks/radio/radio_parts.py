@@ -59,7 +59,7 @@ STOP_PEERS = {
 _HERE = Path(__file__).parent
 _PEERS, _DESK = str(_HERE / "radio_peers.py"), str(_HERE / "radio_desk.py")
 #: Seconds for the start of a team.
-_PATIENCE = 120.0
+_TIMEOUT = 120.0
 _COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]"
 
 #: Starts a lane for each seed of a radio; the processes end with `Processes`.
@@ -241,7 +241,7 @@ def peers(checkout: Checkout, name: str, size: int, pause: float = 0.0, *, fresh
             lines = [r[robot].line((*command, r[FAR].address, keys, *words)) for r in radios]
             started = [processes.start(*line, environment=environment) for line in lines]
             for child in started:
-                child.line(_PATIENCE)
+                child.line(_TIMEOUT)
             return started
 
         children(FAR, "serve")
@@ -287,8 +287,8 @@ def link_of_page(team: RadioTeam) -> str:
 
 def until(child: Child, words: str) -> str:
     """Wait for a line with these words. Raises ChildError without one."""
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + _TIMEOUT
     while time.monotonic() < end:
-        if words in (line := child.line(_PATIENCE)):
+        if words in (line := child.line(_TIMEOUT)):
             return line
-    raise ChildError(f"no line with '{words}' within {_PATIENCE:g} s")
+    raise ChildError(f"no line with '{words}' within {_TIMEOUT:g} s")

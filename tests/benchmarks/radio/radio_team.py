@@ -16,7 +16,7 @@ PORT = 8181
 #: The port for peers of a Zenoh fabric.
 FABRIC_PORT = 7447
 #: Seconds for the end of a host.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 _CONFIG = Path("lfield") / "keys"
 
 
@@ -88,7 +88,7 @@ class RadioTeam:
         for child in self.children.values():
             child.ask_to_end()
         for child in self.children.values():
-            child.ended(PATIENCE)
+            child.ended(TIMEOUT)
 
     def _up(self, host: str) -> Child:
         journal = "--state", str(self._folder / host / "kept")

@@ -19,7 +19,7 @@ _HERE = Path(__file__).parent
 _HOP = _HERE.with_name("hops") / "hop.L"
 WITHOUT, WITH = "without a recorder", "with a recorder"
 #: Seconds for making and using a recording of an hour.
-_PATIENCE = 900.0
+_TIMEOUT = 900.0
 
 
 def _rows(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
@@ -35,7 +35,7 @@ def _rows(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
             yield from _team_rows(case, costs)
     tick("a recording of one hour")
     with Processes() as processes:
-        found = json.loads(checkout.run(processes, str(_HERE / "one_hour.py")).line(_PATIENCE))
+        found = json.loads(checkout.run(processes, str(_HERE / "one_hour.py")).line(_TIMEOUT))
     for case, samples in found.items():
         unit = BYTES if case.endswith(": size") else TIMES if "times" in case else "s"
         yield Row(case, "", unit, samples, target="1 s" if "first step back" in case else "")

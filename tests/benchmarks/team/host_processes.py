@@ -23,7 +23,7 @@ from lfield.replication.membership.overlay import Overlay
 #: Numbers of hosts, limited by 2 cores and 23 GB.
 TEAMS = 10, 20, 50, 100
 #: Seconds within which all hosts of a team must be linked, and seconds of measurement at rest.
-PATIENCE, IDLE = 300.0, 15.0
+TIMEOUT, IDLE = 300.0, 15.0
 #: The end of the log line about a new link.
 ESTABLISHED = " established"
 ALL_LINKED, STARTED = "all neighbours linked", "processor of a host until then"
@@ -57,7 +57,7 @@ def measure(checkout: Checkout, hosts: int) -> Round:
         spent, seconds = sum(map(processor_seconds, folders)) - before, time.monotonic() - start
         commands = {name: [_command(checkout, mission, name)] for name in (PS, PS_JSON)}
         up.ask_to_end()
-        up.ended(PATIENCE)
+        up.ended(TIMEOUT)
         return {
             ALL_LINKED: [elapsed],
             STARTED: [started / hosts],
@@ -86,13 +86,13 @@ def _maps(hosts: int) -> list[str]:
 
 
 def _await_links(up: Child, hosts: int) -> float:
-    """Seconds until each host has logged a link with each neighbour. Raises ChildError after PATIENCE."""
+    """Seconds until each host has logged a link with each neighbour. Raises ChildError after TIMEOUT."""
     names = [f"h{n}" for n in range(hosts)]
     expected = sum(len(Overlay(names, here).neighbours) for here in range(hosts))
     while expected:
-        left = up.started + PATIENCE - time.perf_counter()
+        left = up.started + TIMEOUT - time.perf_counter()
         if left <= 0.0:
-            raise ChildError(f"{expected} ends of links are missing after {PATIENCE:g} s")
+            raise ChildError(f"{expected} ends of links are missing after {TIMEOUT:g} s")
         expected -= up.line(left).endswith(ESTABLISHED)
     return time.perf_counter() - up.started
 

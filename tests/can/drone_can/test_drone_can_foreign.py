@@ -140,7 +140,7 @@ def test_driver_moves_a_foreign_dronecan_servo(bench, binding, bus):
     bound = binding("DroneCanServo", options=options, waivers=["device_watchdog"], safe_state="rest")
     b = bench(bound, bus=bus, fakes=[servo.live])
 
-    async def story(device):
+    async def scenario(device):
         assert await device.open() == "DroneCAN node 42 org.example.servo, software 0.0"
         assert await device.serial() == f"uid {UNIQUE_ID}"
         assert b.values["position"] == pytest.approx(0.1, abs=1e-3)
@@ -158,7 +158,7 @@ def test_driver_moves_a_foreign_dronecan_servo(bench, binding, bus):
         assert len(servo.commands) == count
         assert device.moving() == ""
 
-    b.run_real(story, opened=False)
+    b.run_real(scenario, opened=False)
 
 
 def test_node_with_another_unique_id_is_refused(bench, binding, bus):

@@ -200,7 +200,7 @@ def test_a_serial_driver_moves_its_fake_on_a_pseudo_terminal(serial_site):
         fakes=[lambda: fake.SIM.serve(args)],
     )
 
-    async def story(device):
+    async def scenario(device):
         await device.execute("moveTo", [0.05])
         assert bench.values["value"] == pytest.approx(0.05)
         with pytest.raises(DeviceError, match="is beyond the limit of 1"):
@@ -210,7 +210,7 @@ def test_a_serial_driver_moves_its_fake_on_a_pseudo_terminal(serial_site):
         await device.make_safe()
         assert (device.moving(), bench.values["value"] < 1.0) == ("", True)
 
-    bench.run_real(story)
+    bench.run_real(scenario)
 
 
 def test_a_serial_sensor_is_written(tmp_path):

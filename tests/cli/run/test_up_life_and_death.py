@@ -57,7 +57,7 @@ def test_hosts_are_started_by_hand_in_any_order(lfield, order):
     assert by_name["bravo"].out == ["far receives", "far lets go"]
 
 
-#: tests/simulate/test_fleet_census.py tests the time-outs in virtual time.
+#: tests/simulate/test_fleet_liveness.py tests the time-outs in virtual time.
 @pytest.mark.few(0)
 def test_a_coordinator_on_a_killed_host_has_an_unknown_outcome(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))

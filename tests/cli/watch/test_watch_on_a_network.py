@@ -17,7 +17,7 @@ from lfield.authority.identity import ALL_RIGHTS, Right
 from lfield.authority.web_ca.browser_ca import new_browser_ca
 from lfield.authority.web_ca.web_keys import write_web_keys
 
-ADDRESS, DAY, PATIENCE = "127.0.0.2", 86400.0, 60.0
+ADDRESS, DAY, TIMEOUT = "127.0.0.2", 86400.0, 60.0
 PROGRAM = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
 DEPLOYMENT = "//Bell:bell@alpha\n"
 
@@ -101,7 +101,7 @@ def answer_of(link: str, root: bytes, **headers: str) -> tuple[int, str]:
     address = urlsplit(link)
     context = ssl.create_default_context(cadata=root.decode())
     connection = http.client.HTTPSConnection(
-        address.hostname or "", address.port, context=context, timeout=PATIENCE
+        address.hostname or "", address.port, context=context, timeout=TIMEOUT
     )
     try:
         connection.request("GET", f"{address.path}?{address.query}", headers=headers)
@@ -126,7 +126,7 @@ class Browsing:
     def asks(self, path: str, says: object = None) -> tuple[int, str]:
         context = ssl.create_default_context(cadata=self._root.decode())
         connection = http.client.HTTPSConnection(
-            self._address.hostname or "", self._address.port, context=context, timeout=PATIENCE
+            self._address.hostname or "", self._address.port, context=context, timeout=TIMEOUT
         )
         try:
             body = None if says is None else json.dumps(says)
@@ -142,7 +142,7 @@ class Browsing:
 
     def until(self, told: Callable[[dict], bool]) -> dict:
         """Poll the page until it shows a condition."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while not told(state := self.look()):
             assert time.monotonic() < end, state
             time.sleep(0.1)
@@ -246,7 +246,7 @@ def test_without_the_right_stop_is_disabled_with_the_reason(team, lfield) -> Non
             const answer = fetch("act", {method: "POST", body: '{"action": "stop"}'});
             answer.then(async (said) => done(said.status + " " + await said.text()));
         """
-        browser.driver.set_script_timeout(PATIENCE)
+        browser.driver.set_script_timeout(TIMEOUT)
         assert browser.driver.execute_async_script(press).startswith("403 anna may observe, and this takes")
         assert "STOPPED" not in browser.text("state")
     finally:

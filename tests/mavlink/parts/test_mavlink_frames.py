@@ -201,7 +201,7 @@ def test_goto_is_refused_until_the_origin_is_reported(bench):
 
     flight.filter = without_origin
 
-    async def story(device):
+    async def scenario(device):
         await flight.until(lambda: "armed" in flight.values)
         assert "position" not in flight.values
         assert "heading" not in flight.values
@@ -215,7 +215,7 @@ def test_goto_is_refused_until_the_origin_is_reported(bench):
         await device.execute("goTo", [304.0, 0.0, -24.0])
         assert flight.values["position"] == pytest.approx([304.0, 0.0, -24.0], abs=0.7)
 
-    flight.run(story)
+    flight.run(scenario)
 
 
 def test_px4_uses_its_own_earth_radius():

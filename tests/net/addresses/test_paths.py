@@ -146,11 +146,11 @@ def test_a_port_taken_between_bind_and_listen_is_reported_and_closed(runner, mon
 
         monkeypatch.setattr(listeners, "bound_socket", bound_and_taken)
 
-        async def story():
+        async def scenario():
             with pytest.raises(AddressError, match="the port is in use"):
                 await listening(f"127.0.0.1:{rival.getsockname()[1]}")
 
-        runner(story)
+        runner(scenario)
     assert [made.fileno() for made in bound] == [-1]
 
 
@@ -240,7 +240,7 @@ class Caller:
 def test_retries_back_off_and_each_failure_is_reported_once():
     errors = [AddressError("b:1", "no answer"), AddressError("b:1", "no way")]
 
-    async def story():
+    async def scenario():
         caller = Caller(errors)
         dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
         await asyncio.sleep(REPORT_AFTER - 0.1)
@@ -255,11 +255,11 @@ def test_retries_back_off_and_each_failure_is_reported_once():
         assert {"no answer" in note for note in caller.notes} == {True, False}
         assert all("bravo unreachable at b:1" in note for note in caller.notes)
 
-    run_jumping(story())
+    run_jumping(scenario())
 
 
 def test_a_banned_host_is_not_dialled_until_the_ban_ends():
-    async def story():
+    async def scenario():
         caller = Caller([AddressError("b:1", "no answer")])
         caller.barred, started = 8.0, asyncio.get_running_loop().time()
         dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
@@ -267,4 +267,4 @@ def test_a_banned_host_is_not_dialled_until_the_ban_ends():
         dialler.cancel()
         assert caller.calls[0] == pytest.approx(started + 8.0)
 
-    run_jumping(story())
+    run_jumping(scenario())

@@ -10,7 +10,7 @@ import time
 import uuid
 from pathlib import Path
 
-from namespaces import PATIENCE, Process, command
+from namespaces import TIMEOUT, Process, command
 
 from lfield.testing.keyring import Keyring
 
@@ -134,7 +134,7 @@ class TwoNetworks:
 
     def wait_for_stamps(self, count: int) -> None:
         """Wait until there are `count` stamps."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while len(self.stamps()) < count:
             assert time.monotonic() < end, self.text()
             time.sleep(0.05)

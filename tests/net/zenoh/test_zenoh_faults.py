@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from certificates import Team
 from fabric import Router, ZenohBench, free_endpoint, running_router
-from loop_bench import PATIENCE
+from loop_bench import TIMEOUT
 from lying_router import ChangingRelay, Injector
 
 from lfield.errors import AddressError, HandshakeError, MissingZenoh, NoListener, WireError, ZenohUnreachable
@@ -90,7 +90,7 @@ def connected_again(bench: ZenohBench, pair: Pair):
     """A link to the same listener, as soon as possible: the sessions reconnect themselves."""
 
     async def attempts():
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(TIMEOUT):
             while True:
                 try:
                     return await bench.connect(pair.listener.address, Recorder())

@@ -25,7 +25,7 @@ def given(network, request=None, desk=None, open_links=None):
     """The answer of each host to an order, and the time of each answer (s)."""
     elapsed = {}
 
-    async def story():
+    async def scenario():
         started = network.now
         return await ask_all(
             network,
@@ -36,7 +36,7 @@ def given(network, request=None, desk=None, open_links=None):
             on_answer=lambda host, answer: elapsed.setdefault(host, network.now - started),
         )
 
-    return run_jumping(story()), elapsed
+    return run_jumping(scenario()), elapsed
 
 
 def taught(network):
@@ -296,7 +296,7 @@ def test_a_host_with_a_new_certificate_is_asked_for_it():
 def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
     keystore.write_keys(tmp_path / "keys" / keystore.OWN, keys("person", "anna", frozenset(Right)))
 
-    async def story():
+    async def scenario():
         host = Network(1).hosts["h1"]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as port:
             port.bind(("127.0.0.1", 0))
@@ -317,7 +317,7 @@ def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
             asyncio.get_running_loop().remove_reader(port)
         return host, received
 
-    host, received = asyncio.run(story())
+    host, received = asyncio.run(scenario())
     assert [kind for kind, _ in host.executed] == ["stop", "pause"]
     # The first order asks for the host's state and shows the certificate, unless a repetition arrives in
     # between.

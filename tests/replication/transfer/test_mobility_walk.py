@@ -6,7 +6,7 @@ The walks find broken machines whose fault needs a rare sequence.
 import random
 
 import pytest
-from mobility_world import PATIENCE, World
+from mobility_world import TIMEOUT, World
 
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Send
@@ -84,7 +84,7 @@ def repeat(world: World, dice: random.Random) -> None:
 
 
 def wait(world: World, dice: random.Random) -> None:
-    world.advance(dice.choice([1.0, PATIENCE / 2, PATIENCE + 1]))
+    world.advance(dice.choice([1.0, TIMEOUT / 2, TIMEOUT + 1]))
 
 
 def notice(world: World, dice: random.Random) -> None:

@@ -133,8 +133,8 @@ def _texts(real: Trace, played: Played) -> Iterator[Difference]:
     own, simulated_values = texts(real), texts(played.trace)
     missing: Counter[str] = Counter()
     for each in own:
-        patience = TEXT_TIME + STATE_SHARE * min(each.t - _input_before(real, each.t), 40.0)
-        near = [one for one in simulated_values if one.text == each.text and abs(one.t - each.t) <= patience]
+        timeout = TEXT_TIME + STATE_SHARE * min(each.t - _input_before(real, each.t), 40.0)
+        near = [one for one in simulated_values if one.text == each.text and abs(one.t - each.t) <= timeout]
         if not near:
             missing[each.text] += 1
             continue

@@ -1,7 +1,7 @@
 """Plays the inputs of a recording to the fake, in virtual time, and records the fake in the same form.
 
 The recorder waited for events: ready, standing, up or down, item reached. The inputs are sent at their
-recorded times; where the fake has not yet reached the same event, the recording pauses (at most `PATIENCE`
+recorded times; where the fake has not yet reached the same event, the recording pauses (at most `TIMEOUT`
 seconds, once until they agree again) and all later times are shifted. The pause is reported as a difference.
 Times in the result are those of the recording.
 """
@@ -24,7 +24,7 @@ from lfield_sim.mavlink.link.radio_link import make_faults
 from lfield_sim.mavlink.mavlink_fake import MavlinkFake
 
 #: Seconds: a time step, and the maximum wait of the recording for the fake.
-TICK, PATIENCE = 0.02, 10.0
+TICK, TIMEOUT = 0.02, 10.0
 #: Seconds for which the real vehicle must have stood still.
 STOOD = 1.5
 #: Minimum seconds between two compared messages of a type.
@@ -150,7 +150,7 @@ class _Player:
             self.patient = True
             return
         waited = 0.0
-        while self.patient and missing and waited < PATIENCE:
+        while self.patient and missing and waited < TIMEOUT:
             self.held += TICK
             self._on_packet(self.fake.advance(TICK))
             waited += TICK

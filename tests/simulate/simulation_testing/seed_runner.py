@@ -50,8 +50,8 @@ class SeedTally:
         self.calls += verdict.calls
         self.restarts += verdict.restarts
         self.recovered += verdict.recovered
-        self.digests[verdict.story.seed] = verdict.digest
-        self.outcomes[verdict.story.seed] = verdict.outcome
+        self.digests[verdict.scenario.seed] = verdict.digest
+        self.outcomes[verdict.scenario.seed] = verdict.outcome
         if verdict.breaches:
             self.broken.append(verdict)
 
@@ -121,7 +121,7 @@ def run_seeds(seeds: range, processes: int = 0, console: Console | None = None) 
             progress.update(task, advance=1, description=f"{len(tally.broken)} breaches")
             if verdict.breaches:
                 _write_verdict(progress.console.print, verdict)
-    for verdict in sorted(tally.broken, key=lambda verdict: verdict.story.seed)[:MAX_SHRUNK]:
+    for verdict in sorted(tally.broken, key=lambda verdict: verdict.scenario.seed)[:MAX_SHRUNK]:
         console.print("shrunk:", highlight=False)
         _write_verdict(console.print, shrink_scenario(verdict))
     elapsed = time.monotonic() - started
@@ -144,7 +144,7 @@ def summary(tally: SeedTally, took: float) -> str:
 
 def _write_verdict(write: Callable[..., None], verdict: RunVerdict) -> None:
     """Print the breach, the size of the scenario, and the command that repeats it."""
-    scenario = verdict.story
+    scenario = verdict.scenario
     write(f"{verdict.breaches[0]}", markup=False, highlight=False, soft_wrap=True)
     size = f"{scenario.hosts} hosts, {scenario.walkers} walkers, {len(verdict.faults)} faults"
     write(

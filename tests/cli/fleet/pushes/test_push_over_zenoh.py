@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from fabric import running_router
-from loop_bench import PATIENCE
+from loop_bench import TIMEOUT
 from robots import told
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
@@ -32,7 +32,7 @@ def test_a_bundle_is_pushed_and_started_over_a_restarted_router(lfield, robots, 
     assert (pushed["outcome"], pushed["votes"]) == ("activated", {"alpha": "yes", "bravo": "yes"})
     router.kill()
     router.start()
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT
     hosts: set[bytes] = set()
     started = lfield.start("start", "--json")
     # The hosts may have ended before the command has.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from dashboard_script import INCARNATION, ScriptedHost, resource, snapshot
 from msgspec.structs import replace
-from picture_story import HOP, ZURICH, Story
+from picture_scenario import HOP, ZURICH, Scenario
 
 from lfield.driver.frame import Pose
 from lfield.manifest import DeviceManifest, Quantity
@@ -32,7 +32,7 @@ from lfield.wire.events import (
 
 
 def test_the_log_has_whole_lines_for_any_pieces_of_output() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", LineLogged("up"), Printed("boss", "hi", "log"))
     scenario.tell("alpha", Printed("boss", "a b", "out"), Printed("boss", " c\nd\n", "out"))
     lines = [(line.serial, line.host, line.agent, line.text) for line in scenario.seen.log]
@@ -45,14 +45,14 @@ def test_the_log_has_whole_lines_for_any_pieces_of_output() -> None:
 
 
 def test_lost_events_are_counted_by_kind() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", EventsDropped("began", 40), lost={"measured": 2})
     scenario.tell("alpha", lost={"measured": 3})
     assert scenario.seen.hosts["alpha"].lost == {"began": 40, "measured": 5}
 
 
 def test_a_restarted_host_starts_with_an_empty_state() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell(
         "alpha",
         EmergencyStopChanged("anna", "a child"),
@@ -67,7 +67,7 @@ def test_a_restarted_host_starts_with_an_empty_state() -> None:
 
 
 def test_curves_have_a_point_per_second_and_drop_old_points() -> None:
-    scenario = Story()
+    scenario = Scenario()
     for _ in range(700):
         scenario.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.5, "altitude": 7.0}, 0.0))
         scenario.picture.tick(scenario.now)
@@ -80,7 +80,7 @@ def test_curves_have_a_point_per_second_and_drop_old_points() -> None:
 
 
 def test_hops_per_minute_count_the_last_minute() -> None:
-    scenario = Story()
+    scenario = Scenario()
     for sequence in range(30):
         scenario.tell("alpha", MigrationArrived("boss", 1, sequence, "beta", 900))
         scenario.now += 10.0
@@ -90,7 +90,7 @@ def test_hops_per_minute_count_the_last_minute() -> None:
 
 
 def test_the_revision_grows_with_events_and_not_with_time() -> None:
-    scenario = Story()
+    scenario = Scenario()
     before = scenario.seen.revision
     scenario.now += 5.0
     assert scenario.seen.revision == before
@@ -99,7 +99,7 @@ def test_the_revision_grows_with_events_and_not_with_time() -> None:
 
 
 def test_events_older_than_a_snapshot_change_nothing() -> None:
-    scenario = Story()
+    scenario = Scenario()
     host = scenario.hosts["alpha"]
     old = host.batch(
         1.0, AgentStarted("boss", 1), HOP["left"][1], DeviceLatched("one.fc", "land", "x"), LineLogged("hi")
@@ -114,7 +114,7 @@ def test_events_older_than_a_snapshot_change_nothing() -> None:
 
 
 def test_a_log_line_has_the_timestamp_of_its_event() -> None:
-    scenario = Story()
+    scenario = Scenario()
     host = scenario.hosts["beta"]
     batch = host.batch(5.0, LineLogged("hi"))
     # The clock of beta is 90.25 s behind the clocks of hosts from which it has received messages.
@@ -125,7 +125,7 @@ def test_a_log_line_has_the_timestamp_of_its_event() -> None:
 
 
 def test_log_times_of_a_host_do_not_go_back_after_a_restart_with_an_earlier_clock() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", LineLogged("one"))
     host = ScriptedHost(99, wall=5.0)
     scenario.picture.feed("alpha", host.batch(1.0, LineLogged("two")), scenario.now + 0.1, 1.7e9)
@@ -135,7 +135,7 @@ def test_log_times_of_a_host_do_not_go_back_after_a_restart_with_an_earlier_cloc
 
 
 def test_an_ended_coordinator_has_the_hop_count_of_its_last_host() -> None:
-    scenario = Story()
+    scenario = Scenario()
     ended = CoordinatorState("boss", 1, 9, 9, "EXITED", "beta", "done")
     other = snapshot("alpha")
     other.coordinators.append(CoordinatorState("boss", 1, 4, 4, "EXITED", "beta", "done"))
@@ -150,7 +150,7 @@ def test_an_ended_coordinator_has_the_hop_count_of_its_last_host() -> None:
 
 
 def test_the_log_starts_with_earlier_lines_and_repeats_none() -> None:
-    scenario = Story()
+    scenario = Scenario()
     host = scenario.hosts["alpha"]
     before = [
         host.event(up, what) for up, what in ((1.0, Printed("boss", "on", "out")), (2.0, LineLogged("up")))
@@ -170,7 +170,7 @@ def test_the_log_starts_with_earlier_lines_and_repeats_none() -> None:
 
 
 def test_earlier_lines_of_a_host_without_contact_are_kept() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.picture.hold_log()
     event = scenario.hosts["alpha"].event(1.0, LineLogged("up"))
     scenario.picture.start_log([("alpha", INCARNATION, event)], scenario.now, event.at + 60.0)
@@ -179,7 +179,7 @@ def test_earlier_lines_of_a_host_without_contact_are_kept() -> None:
 
 
 def test_dropped_lines_are_shown_in_place_and_counted_from_any_start() -> None:
-    scenario = Story()
+    scenario = Scenario()
     host = scenario.hosts["alpha"]
     scenario.picture.hold_log()
     past = [
@@ -194,7 +194,7 @@ def test_dropped_lines_are_shown_in_place_and_counted_from_any_start() -> None:
 
 
 def test_dropped_events_older_than_a_snapshot_still_count() -> None:
-    scenario = Story()
+    scenario = Scenario()
     host = scenario.hosts["alpha"]
     old = host.batch(1.0, EventsDropped("left", 5))
     scenario.picture.feed("alpha", host.batch(2.0, snapshot=snapshot("alpha")), scenario.now, 1.7e9)
@@ -203,7 +203,7 @@ def test_dropped_events_older_than_a_snapshot_still_count() -> None:
 
 
 def test_a_coordinator_with_dropped_hops_is_at_the_host_that_reports_it() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", AgentStarted("boss", 1))
     scenario.now += 10.0
     scenario.tell("beta", AgentActivity("boss", "ready", "mission.L", 7, ""))
@@ -212,7 +212,7 @@ def test_a_coordinator_with_dropped_hops_is_at_the_host_that_reports_it() -> Non
 
 
 def test_an_unchanged_position_of_a_returning_coordinator_is_kept() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell(
         "alpha", AgentStarted("boss", 1), AgentActivity("boss", "waiting", "mission.L", 12, "two.lift")
     )
@@ -225,7 +225,7 @@ def test_an_unchanged_position_of_a_returning_coordinator_is_kept() -> None:
 
 
 def test_a_host_that_names_too_many_agents_does_not_fill_the_memory() -> None:
-    scenario = Story()
+    scenario = Scenario()
     for number in range(MAX_AGENTS + 50):
         scenario.tell("alpha", AgentStarted(f"a{number}", 1), DeviceTelemetry(f"a{number}.fc", {}, 0.0))
     assert len(scenario.seen.agents) == MAX_AGENTS
@@ -251,7 +251,7 @@ def test_only_degrees_of_latitude_and_longitude_are_a_position(name: str, unit: 
 
 def test_a_servo_is_at_its_frame_and_unplaced_without_one() -> None:
     pose = Pose(2.0, 0.5)
-    scenario = Story(Frames(ZURICH, agents={"one": pose}))
+    scenario = Scenario(Frames(ZURICH, agents={"one": pose}))
     warm = {"temperatures": [28.0, 28.0], "positions": [0.1, 0.2]}
     scenario.tell("alpha", DeviceTelemetry("one.fc", warm, 0.0), DeviceTelemetry("two.fc", warm, 0.0))
     one, two = (scenario.seen.vehicles[name] for name in ("one", "two"))

@@ -7,7 +7,7 @@ from itertools import permutations
 
 import pytest
 from dashboard_script import INCARNATION, ScriptedHost, device, resource, snapshot
-from picture_story import HOP, ZURICH, Story
+from picture_scenario import HOP, ZURICH, Scenario
 
 from lfield.driver.frame import Pose
 from lfield.guard.standstill import UNCONFIRMED
@@ -41,7 +41,7 @@ from lfield.wire.observer_messages import BundleStatus, EmergencyStopResult, Sta
 
 
 def test_a_host_without_contact_is_shown_as_such() -> None:
-    scenario = Story()
+    scenario = Scenario()
     alpha = scenario.seen.hosts["alpha"]
     assert (alpha.age, alpha.linked, alpha.trouble) == (None, False, "no contact yet")
     assert scenario.seen.vehicles["one"].place is None
@@ -49,7 +49,7 @@ def test_a_host_without_contact_is_shown_as_such() -> None:
 
 
 def test_a_snapshot_sets_the_picture() -> None:
-    scenario = Story()
+    scenario = Scenario()
     one = device("one.fc", position=[1.0, 2.0, -3.0], heading=1.5, battery=0.5, mode="GUIDED", armed=True)
     scenario.tell("alpha", snapshot=snapshot("alpha", one, agents=[resource("one")]))
     vehicle = scenario.seen.vehicles["one"]
@@ -64,7 +64,7 @@ def test_a_snapshot_sets_the_picture() -> None:
 
 
 def test_the_last_state_of_a_dead_host_ages() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", snapshot=snapshot("alpha", device("one.fc", battery=0.5)))
     scenario.tell("alpha", HostStopping("it was told to end"))
     scenario.picture.on_unlinked("alpha", "no program listens at alpha:8181")
@@ -76,7 +76,7 @@ def test_the_last_state_of_a_dead_host_ages() -> None:
 
 
 def test_telemetry_has_the_age_it_reports() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 2.0))
     scenario.now += 1.0
     reading = scenario.seen.vehicles["one"].devices[0].readings["battery"]
@@ -84,7 +84,7 @@ def test_telemetry_has_the_age_it_reports() -> None:
 
 
 def test_a_delayed_batch_is_shown_with_its_age() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", LinkUp("beta"))
     late = scenario.hosts["alpha"].batch(
         scenario.now + 1.0 - 50.0, DeviceTelemetry("one.fc", {"battery": 0.4}, 0.0)
@@ -99,7 +99,7 @@ def test_a_hop_ends_at_its_target_in_any_order_of_reports(order: tuple[str, ...]
     # The events of one host keep their order.
     if order.index("left") > order.index("hopped"):
         return
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", AgentStarted("boss", 1))
     for part in order:
         scenario.tell(*HOP[part])
@@ -111,14 +111,14 @@ def test_a_hop_ends_at_its_target_in_any_order_of_reports(order: tuple[str, ...]
 
 
 def test_a_coordinator_is_in_transit_until_it_arrives() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", AgentStarted("boss", 1), HOP["left"][1])
     boss = scenario.seen.agents["boss"]
     assert (boss.host, boss.to, boss.state) == ("alpha", "beta", "on its way")
 
 
 def test_a_failed_hop_has_its_reason_and_keeps_the_coordinator_in_place() -> None:
-    scenario = Story()
+    scenario = Scenario()
     stayed = MigrationFailed("boss", 1, 4, "beta", "UnreachableResourceException", "no link")
     scenario.tell("alpha", HOP["left"][1], stayed)
     boss = scenario.seen.agents["boss"]
@@ -127,7 +127,7 @@ def test_a_failed_hop_has_its_reason_and_keeps_the_coordinator_in_place() -> Non
 
 
 def test_late_reports_of_a_hop_do_not_move_a_coordinator() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell(
         "beta",
         MigrationArrived("boss", 1, 4, "alpha", 900),
@@ -141,7 +141,7 @@ def test_late_reports_of_a_hop_do_not_move_a_coordinator() -> None:
 
 
 def test_the_position_of_a_coordinator_is_that_of_the_host_that_has_it() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell(
         "alpha", AgentStarted("boss", 1), AgentActivity("boss", "waiting", "mission.L", 12, "two.lift")
     )
@@ -151,7 +151,7 @@ def test_the_position_of_a_coordinator_is_that_of_the_host_that_has_it() -> None
 
 
 def test_a_superseded_start_leaves_the_coordinator_to_the_earlier_one() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", AgentStarted("boss", 2))
     scenario.tell("beta", AgentStarted("boss", 1))
     assert scenario.seen.agents["boss"].host == "alpha"
@@ -167,7 +167,7 @@ def test_a_superseded_start_leaves_the_coordinator_to_the_earlier_one() -> None:
 
 
 def test_a_snapshot_sets_the_hosts_of_coordinators() -> None:
-    scenario = Story()
+    scenario = Scenario()
     copies = [CoordinatorState("boss", 2, 9, 5, "IN DOUBT", "beta", "", "beta is gone")]
     status = snapshot("alpha")
     scenario.tell("alpha", snapshot=type(status)(**{**_fields(status), "coordinators": copies}))
@@ -180,7 +180,7 @@ def test_a_snapshot_sets_the_hosts_of_coordinators() -> None:
 
 
 def test_a_snapshot_has_the_bundle_the_delayed_start_and_refused_hosts() -> None:
-    scenario = Story()
+    scenario = Scenario()
     status = snapshot("alpha")
     more = {
         "bundle": BundleStatus(bytes.fromhex("5cde09b1f2a37c4400"), "anna", 0.0),
@@ -199,7 +199,7 @@ def _fields(status: object) -> dict[str, object]:
 
 
 def test_a_latch_is_shown_confirmed_at_rest_and_released() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", DeviceLatched("one.fc", "land", "the link is lost"))
     (fc,) = scenario.seen.vehicles["one"].devices
     assert (fc.latched, fc.confirmed, fc.at_rest) == ("the link is lost", False, False)
@@ -215,14 +215,14 @@ def test_a_latch_is_shown_confirmed_at_rest_and_released() -> None:
 
 
 def test_a_snapshot_before_the_safe_state_confirms_nothing() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", snapshot=snapshot("alpha", device("one.fc", "the link is lost", UNCONFIRMED)))
     (fc,) = scenario.seen.vehicles["one"].devices
     assert (fc.latched, fc.confirmed, fc.moving) == ("the link is lost", False, "")
 
 
 def test_a_stop_shows_confirmed_and_unconfirmed_devices() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell(
         "alpha", EmergencyStopChanged("anna", "a child"), DeviceLatched("one.fc", "land", "a child")
     )
@@ -251,7 +251,7 @@ def test_a_stop_shows_confirmed_and_unconfirmed_devices() -> None:
 
 
 def test_pauses_and_offers_appear_and_disappear() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", PauseChanged("anna"), OfferPublished("two"), OfferWithdrawn("one", "it has died"))
     scenario.tell("beta", OfferWithdrawn("two", "unreachable"))
     assert scenario.seen.paused == ("alpha",)
@@ -263,7 +263,7 @@ def test_pauses_and_offers_appear_and_disappear() -> None:
 
 
 def test_a_missing_link_ages() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", LinkUp("beta"))
     scenario.tell("alpha", LinkDown("beta"))
     scenario.now += 3.0
@@ -272,7 +272,7 @@ def test_a_missing_link_ages() -> None:
 
 
 def test_link_figures_are_shown_while_the_link_exists() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", LinkUp("beta"), LinkTelemetry("beta", 0.2, 0.05, 1000, 2000))
     assert scenario.seen.hosts["alpha"].links == {"beta": LinkState(0.2, 0.05, 1000, 2000)}
     scenario.tell("alpha", LinkDown("beta"))
@@ -284,7 +284,7 @@ def test_link_figures_are_shown_while_the_link_exists() -> None:
 
 @pytest.mark.parametrize("by_snapshot", [False, True])
 def test_another_run_of_the_mission_starts_with_an_empty_state(by_snapshot: bool) -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", AgentStarted("boss", 2))
     for sequence in range(1, 41):
         of, to = ("alpha", "beta") if sequence % 2 else ("beta", "alpha")
@@ -311,7 +311,7 @@ def test_another_run_of_the_mission_starts_with_an_empty_state(by_snapshot: bool
 
 
 def test_a_restart_of_one_host_does_not_change_the_state_of_others() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.tell("alpha", AgentStarted("boss", 1), HOP["left"][1])
     scenario.tell(
         "beta", HOP["came"][1], MigrationStarted("boss", 1, 5, "alpha", "one", "lift", 900), LinkUp("alpha")
@@ -324,7 +324,7 @@ def test_a_restart_of_one_host_does_not_change_the_state_of_others() -> None:
 
 
 def test_clock_differences_are_shown_and_change_no_age() -> None:
-    scenario = Story()
+    scenario = Scenario()
     scenario.hosts["alpha"].wall = 1.7e9 + 600.0 - (scenario.now - 50.0)
     scenario.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 0.0))
     assert scenario.seen.hosts["alpha"].clock == pytest.approx(600.0)
@@ -332,7 +332,7 @@ def test_clock_differences_are_shown_and_change_no_age() -> None:
 
 
 def test_metres_become_degrees_by_the_origin_and_back() -> None:
-    scenario = Story(Frames(ZURICH))
+    scenario = Scenario(Frames(ZURICH))
     scenario.tell("alpha", DeviceTelemetry("one.fc", {"position": [1000.0, -500.0, -20.0]}, 0.0))
     earth = scenario.seen.vehicles["one"].earth
     assert earth.altitude == 508.0
@@ -345,7 +345,7 @@ def test_metres_become_degrees_by_the_origin_and_back() -> None:
 
 
 def test_vehicles_with_global_positions_only_are_apart_without_an_origin() -> None:
-    scenario = Story()
+    scenario = Scenario()
     here, there = [47.3977, 8.5456, 488.0], [47.3987, 8.5456, 489.0]
     scenario.tell(
         "alpha", DeviceTelemetry("one.fc", {"globalPosition": here, "position": [0.0, 0.0, 0.0]}, 0.0)
@@ -360,7 +360,7 @@ def test_vehicles_with_global_positions_only_are_apart_without_an_origin() -> No
 
 
 def test_without_a_position_a_vehicle_is_at_its_stated_pose_or_unplaced() -> None:
-    scenario = Story(Frames(agents={"one": Pose(3.0, 4.0)}))
+    scenario = Scenario(Frames(agents={"one": Pose(3.0, 4.0)}))
     scenario.tell(
         "alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 0.0), DeviceTelemetry("two.fc", {}, 0.0)
     )
@@ -371,7 +371,7 @@ def test_without_a_position_a_vehicle_is_at_its_stated_pose_or_unplaced() -> Non
 
 @pytest.mark.parametrize("value", [[1.0], [math.nan, 0.0], [1.0] * 5, "here", True, [200.0, 0.0, 0.0]])
 def test_invalid_values_of_a_host_are_not_a_position(value: object) -> None:
-    scenario = Story()
+    scenario = Scenario()
     nonsense = {"position": value, "globalPosition": value, "heading": value, "battery": math.inf}
     if value == [200.0, 0.0, 0.0]:
         del nonsense["position"]

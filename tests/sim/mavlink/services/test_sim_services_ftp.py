@@ -303,14 +303,14 @@ requests = st.builds(
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 40), requests), max_size=30))
-def test_arbitrary_requests_do_not_raise_and_use_bounded_memory(story):
+def test_arbitrary_requests_do_not_raise_and_use_bounded_memory(scenario):
     server = FtpServer(
         FileTree(
             {"/a/log.bin": LOG, "/b.txt": b""},
             {"@PARAM/param.pck": GeneratedFile(lambda: b"x" * 999, lambda: 9)},
         )
     )
-    for system, request in story:
+    for system, request in scenario:
         replies = server.receive((system, 1), request.write())
         assert len(replies) <= 1
         server.advance()

@@ -316,9 +316,9 @@ messages = st.one_of(
 
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from([ARDUPILOT, PX4]), st.lists(st.tuples(st.integers(1, 9), messages), max_size=20))
-def test_random_mission_messages_do_not_raise(style, story):
+def test_random_mission_messages_do_not_raise(style, scenario):
     s = Station(style)
-    for system, message in story:
+    for system, message in scenario:
         s.system = system
         s.send(message)
         for answer in s.wait(0.5, step=0.5):

@@ -63,12 +63,12 @@ def draw_scenario(seed: int) -> Scenario:
     return scenario
 
 
-def under_orders(story: Scenario, rng: random.Random) -> Scenario:
+def under_orders(scenario: Scenario, rng: random.Random) -> Scenario:
     """The scenario with orders of an operator, and with at least one device if the program has devices."""
     orders = rng.choice((("estop",), ("pause",), ("estop", "pause")))
     means = {order: rng.uniform(*OFTEN) for order in orders}
-    arms = story.arms if story.kind in PROGRAMS else max(1, story.arms)
-    return replace(story, means={**story.means, **means}, arms=arms)
+    arms = scenario.arms if scenario.kind in PROGRAMS else max(1, scenario.arms)
+    return replace(scenario, means={**scenario.means, **means}, arms=arms)
 
 
 def _usual(seed: int) -> Scenario:

@@ -35,7 +35,7 @@ def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
 
 def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
     """Slightly smaller scenarios, the smallest first."""
-    scenario = verdict.story
+    scenario = verdict.scenario
     if verdict.seconds + 0.1 < scenario.seconds:
         yield replace(scenario, seconds=round(verdict.seconds + 0.1, 3))
     struck = [number for number, fault in scenario.numbered if fault.at < scenario.seconds]
@@ -62,16 +62,16 @@ def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
         yield replace(scenario, keep=frozenset())
 
 
-def command(story: Scenario) -> str:
+def command(scenario: Scenario) -> str:
     """The command that repeats this scenario."""
-    usual, words = draw_scenario(story.seed), [f"{COMMAND} --story {story.seed}"]
-    if (usual.kind, usual.means, usual.slowness) != (story.kind, story.means, story.slowness):
-        usual = KINDS[story.kind](story.seed)
-        words.append(f"--as {story.kind}")
+    usual, words = draw_scenario(scenario.seed), [f"{COMMAND} --story {scenario.seed}"]
+    if (usual.kind, usual.means, usual.slowness) != (scenario.kind, scenario.means, scenario.slowness):
+        usual = KINDS[scenario.kind](scenario.seed)
+        words.append(f"--as {scenario.kind}")
     for name in ("hosts", "walkers", "arms", "seconds"):
-        value = getattr(story, name)
+        value = getattr(scenario, name)
         if value != getattr(usual, name):
             words.append(f"--{name} {value}")
-    if story.keep is not None:
-        words.append(f"--keep {','.join(str(number) for number in sorted(story.keep))}")
+    if scenario.keep is not None:
+        words.append(f"--keep {','.join(str(number) for number in sorted(scenario.keep))}")
     return " ".join(words)

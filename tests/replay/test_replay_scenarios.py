@@ -15,7 +15,7 @@ from simulation_testing.scenarios.scenario_run import run_scenario
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(300, 500))
-def test_a_story_is_replayed(seed, monkeypatch):
+def test_a_scenario_is_replayed(seed, monkeypatch):
     monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 20.0)
     missions: list[Mission] = []
     original = host_fleet.Fleet.__init__
@@ -33,6 +33,6 @@ def test_a_story_is_replayed(seed, monkeypatch):
     assert found.digests > 0
 
 
-def test_a_story_is_the_same_with_and_without_a_recorder():
+def test_a_scenario_is_the_same_with_and_without_a_recorder():
     scenario = draw_scenario(301)
     assert run_scenario(scenario).digest == run_scenario(scenario, record=RecordingMemory()).digest

@@ -29,7 +29,7 @@ def test_rare_scenarios_keep_every_promise(kind: str) -> None:
     totals = Counter[str]()
     for seed in range(3):
         verdict = run_seed(seed, KINDS[kind])
-        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.scenario)}"
         totals.update(calls=verdict.calls, **verdict.orders)
     assert totals["calls"] > 20
     assert kind != "wrecked" or totals["recover"] + totals["forget"] > 0

@@ -10,7 +10,7 @@ from lfield.operator.team_model.team_view import TeamView
 from lfield.wire.events import MigrationArrived, MigrationConfirmed, MigrationStarted
 
 
-class Story:
+class Scenario:
     """A picture, and both hosts that send events to it, with monotonic clocks other than the test's."""
 
     def __init__(self, frames: Frames | None = None) -> None:

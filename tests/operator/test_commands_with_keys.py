@@ -79,7 +79,7 @@ def asked(
     """The answers of a host over TCP and of one at a socket."""
     host = host or Alpha()
 
-    async def story():
+    async def scenario():
         transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / own, "host")))
         address = f"unix:{ring.folder}/door"
         listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", address)]
@@ -92,7 +92,7 @@ def asked(
             await asyncio.sleep(0)
         return answers[HostRef("", "alpha")], answers[HostRef("", "here")]
 
-    return asyncio.run(story())
+    return asyncio.run(scenario())
 
 
 def test_with_keys_a_host_of_another_computer_answers(ring):
@@ -220,7 +220,7 @@ def asked_of(user: int, request, heard: list[object] | None = None):
     """The answer of a host of this user: the kernel reports the user of the listening process."""
     host = Alpha()
 
-    async def story(door: str):
+    async def scenario(door: str):
         transport = TcpTransport(1 << 20)
         os.seteuid(user)
         try:
@@ -235,7 +235,7 @@ def asked_of(user: int, request, heard: list[object] | None = None):
     # The folder of a test is private to its user.
     with tempfile.TemporaryDirectory() as folder:
         os.chown(folder, user, -1)
-        answer = asyncio.run(story(f"unix:{folder}/door"))
+        answer = asyncio.run(scenario(f"unix:{folder}/door"))
     if heard is not None:
         heard += [message for _, message in host.heard]
     return answer

@@ -43,7 +43,7 @@ agents:
   lead: {devices: {fc: {driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]}}}
 """
 #: Links of one person, requests of each link, the size of a record, and seconds for a host to answer.
-LINKS, REQUESTS, RECORD, PATIENCE = 20, 20_000, 550, 60.0
+LINKS, REQUESTS, RECORD, TIMEOUT = 20, 20_000, 550, 60.0
 #: Lines of a host or its guard after a delay by the flood.
 BROKEN = re.compile("silent|safe state|timed out after|DeviceException|lost")
 
@@ -83,11 +83,11 @@ class Asker:
 def connected(address: str) -> socket.socket:
     if address.startswith("/"):
         link = socket.socket(socket.AF_UNIX)
-        link.settimeout(PATIENCE)
+        link.settimeout(TIMEOUT)
         link.connect(address)
         return link
     host, _, port = address.rpartition(":")
-    return socket.create_connection((host, int(port)), PATIENCE)
+    return socket.create_connection((host, int(port)), TIMEOUT)
 
 
 @contextmanager

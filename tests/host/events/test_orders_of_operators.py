@@ -81,12 +81,12 @@ async def operated(fleet, mission, asked=None, dialled=None):
 def operate(fleet):
     """Runs a test with a watched team of two hosts."""
 
-    def run(story, asked=None, dialled=None) -> None:
+    def run(steps, asked=None, dialled=None) -> None:
         async def main(fleet) -> None:
             mission = fleet.mission(PROGRAM, TEAM, capabilities=CAPABILITIES)
             hosts = await fleet.up(mission)
             async with operated(fleet, mission, asked, dialled) as watch:
-                await story(fleet, watch, hosts)
+                await steps(fleet, watch, hosts)
 
         fleet(main)
 
@@ -108,7 +108,7 @@ async def test_a_stop_is_shown_until_it_is_lifted(fleet, shown, hosts, /) -> Non
 def test_orders_use_open_connections_and_dial_where_there_is_none(operate) -> None:
     dialled: list[str] = []
 
-    async def story(fleet, shown, hosts) -> None:
+    async def steps(fleet, shown, hosts) -> None:
         actions = shown.actions
         assert len(dialled) == len(hosts)
         for order in (actions.stop, actions.lift, actions.pause, actions.resume):
@@ -121,7 +121,7 @@ def test_orders_use_open_connections_and_dial_where_there_is_none(operate) -> No
         assert dialled
         assert len(set(dialled)) == 1
 
-    operate(story, dialled=dialled)
+    operate(steps, dialled=dialled)
 
 
 @scenario("operate")

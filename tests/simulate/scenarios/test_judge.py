@@ -37,7 +37,7 @@ def test_scenarios_with_all_kinds_of_faults_keep_every_promise(first: int) -> No
     calls = restarts = 0
     for seed in range(first, first + 12):
         verdict = run_seed(seed)
-        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.scenario)}"
         calls += verdict.calls
         restarts += verdict.restarts
     assert calls > 100
@@ -49,7 +49,7 @@ def test_crew_scenarios_keep_every_promise() -> None:
     calls = recovered = 0
     for seed in range(8):
         verdict = run_seed(seed, crew)
-        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.scenario)}"
         calls += verdict.calls
         recovered += verdict.recovered
     assert calls > 200
@@ -62,7 +62,7 @@ def test_racer_scenarios_keep_every_promise() -> None:
     ways = Counter[str]()
     for seed in range(12):
         verdict = run_scenario(racer(seed), keep_log=True)
-        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.scenario)}"
         recovered += verdict.recovered
         lines = [text.split() for _, _, text in verdict.log]
         ways.update(words[words.index("closes") + 3] for words in lines if "closes" in words)
@@ -77,7 +77,7 @@ def test_keeper_scenarios_keep_every_promise() -> None:
     rounds, started = Counter[str](), Counter[str]()
     for seed in range(16):
         verdict = run_scenario(keeper(seed), keep_log=True)
-        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.scenario)}"
         recovered += verdict.recovered
         lines = [text.split() for _, _, text in verdict.log]
         rounds.update(words[-1] for words in lines if "quits" in words)
@@ -174,8 +174,8 @@ def test_a_breach_is_reported_with_its_command_and_shrunk(
     small = shrink_scenario(found, most=40)
     assert small.breaches[0].name == "I1"
     assert len(small.faults) < len(found.faults)
-    assert run_scenario(small.story).digest == small.digest
-    assert command(small.story).startswith("python tests/simulate/simulate.py --story 6 --")
+    assert run_scenario(small.scenario).digest == small.digest
+    assert command(small.scenario).startswith("python tests/simulate/simulate.py --story 6 --")
     console = Console(file=io.StringIO(), width=200)
     tally = run_seeds(range(6, 7), processes=1, console=console)
     assert [verdict.digest for verdict in tally.broken] == [found.digest]

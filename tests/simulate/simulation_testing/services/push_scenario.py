@@ -73,7 +73,7 @@ class PushFault:
 
 
 @dataclass(frozen=True, slots=True)
-class PushStory:
+class PushScenario:
     """A scenario. `steps` are those of each desk; `faults` happen within `seconds`."""
 
     seed: int
@@ -87,7 +87,7 @@ class PushStory:
 class PushVerdict:
     """The result of a scenario: breaches, a digest of the events, and counts."""
 
-    story: PushStory
+    scenario: PushScenario
     breaches: tuple[Breach, ...]
     digest: str
     seconds: float
@@ -95,7 +95,7 @@ class PushVerdict:
     log: tuple[tuple[float, str, str], ...] = ()
 
 
-def draw_push_story(seed: int) -> PushStory:
+def draw_push_scenario(seed: int) -> PushScenario:
     """The scenario of a seed."""
     rng = random.Random(f"pushes {seed}")
     robots, seconds = rng.choice((2, 2, 3, 3, 4)), rng.uniform(40.0, 120.0)
@@ -115,7 +115,7 @@ def draw_push_story(seed: int) -> PushStory:
             )
             at += rng.expovariate(1.0 / (mean * calm))
     faults.sort(key=lambda fault: fault.at)
-    return PushStory(seed, robots, seconds, steps, tuple(faults))
+    return PushScenario(seed, robots, seconds, steps, tuple(faults))
 
 
 def _desk_steps(rng: random.Random, seconds: float, robots: int) -> tuple[DeskStep, ...]:
@@ -130,40 +130,40 @@ def _desk_steps(rng: random.Random, seconds: float, robots: int) -> tuple[DeskSt
     return tuple(steps)
 
 
-def run_push_story(story: PushStory, *, keep_log: bool = False) -> PushVerdict:
+def run_push_scenario(scenario: PushScenario, *, keep_log: bool = False) -> PushVerdict:
     """Run a scenario until the first breach, or until all is decided and one more push has succeeded."""
     # A scenario leaves many reference cycles: young objects without a frame are collected at once.
     gc.disable()
     try:
-        return _judged_run(story, keep_log=keep_log)
+        return _judged_run(scenario, keep_log=keep_log)
     finally:
         gc.collect(0)
         gc.enable()
 
 
-def _judged_run(story: PushStory, *, keep_log: bool) -> PushVerdict:
-    fleet = ServiceFleet(story.robots, story.seed)
+def _judged_run(scenario: PushScenario, *, keep_log: bool) -> PushVerdict:
+    fleet = ServiceFleet(scenario.robots, scenario.seed)
     fleet.timeline.max_events = MAX_EVENTS
     with contextlib.redirect_stderr(io.StringIO()):
-        _happen(fleet, story)
+        _happen(fleet, scenario)
         seconds = fleet.now
         fleet.close()
     digest = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
-    counts = {**fleet.judge.counts, "faults": len(story.faults)}
-    return PushVerdict(story, tuple(fleet.judge.breaches), digest, seconds, counts, log)
+    counts = {**fleet.judge.counts, "faults": len(scenario.faults)}
+    return PushVerdict(scenario, tuple(fleet.judge.breaches), digest, seconds, counts, log)
 
 
-def _happen(fleet: ServiceFleet, story: PushStory) -> None:
-    judge, rng = fleet.judge, random.Random(f"desks {story.seed}")
+def _happen(fleet: ServiceFleet, scenario: PushScenario) -> None:
+    judge, rng = fleet.judge, random.Random(f"desks {scenario.seed}")
     desks = [
         SimulatedDesk(fleet, f"desk{number}", steps, random.Random(rng.random()))
-        for number, steps in enumerate(story.steps)
+        for number, steps in enumerate(scenario.steps)
     ]
-    faults = PushWeather(fleet, story, desks)
+    faults = PushFaults(fleet, scenario, desks)
     last = SimulatedDesk(fleet, "desk", (), random.Random(rng.random()))
     try:
-        fleet.run(story.seconds)
+        fleet.run(scenario.seconds)
         faults.end()
         end = fleet.now + SETTLES
         fleet.run(2 * RESOLVE_EVERY)
@@ -196,12 +196,12 @@ def _push_undisturbed(fleet: ServiceFleet, desk: SimulatedDesk) -> None:
     judge.check_settled({robot: robot in fleet.services for robot in fleet.robots})
 
 
-class PushWeather:
+class PushFaults:
     """The faults of a scenario, until `end`. A fault of a robot that is off does nothing."""
 
-    def __init__(self, fleet: ServiceFleet, story: PushStory, desks: list[SimulatedDesk]) -> None:
+    def __init__(self, fleet: ServiceFleet, scenario: PushScenario, desks: list[SimulatedDesk]) -> None:
         self._fleet, self._desks, self._is_over = fleet, desks, False
-        for fault in story.faults:
+        for fault in scenario.faults:
             fleet.timeline.at(fault.at, partial(self._strike, fault))
 
     def end(self) -> None:
@@ -364,13 +364,16 @@ class PushWeather:
         return partial(setattr, disk, "slow", 0.0)
 
 
-def smaller_stories(story: PushStory) -> list[PushStory]:
+def smaller_scenarios(scenario: PushScenario) -> list[PushScenario]:
     """Scenarios without one fault or one step."""
     found = [
-        replace(story, faults=story.faults[:n] + story.faults[n + 1 :]) for n in range(len(story.faults))
+        replace(scenario, faults=scenario.faults[:n] + scenario.faults[n + 1 :])
+        for n in range(len(scenario.faults))
     ]
-    for desk, steps in enumerate(story.steps):
+    for desk, steps in enumerate(scenario.steps):
         for n in range(len(steps)):
             fewer = steps[:n] + steps[n + 1 :]
-            found.append(replace(story, steps=(*story.steps[:desk], fewer, *story.steps[desk + 1 :])))
+            found.append(
+                replace(scenario, steps=(*scenario.steps[:desk], fewer, *scenario.steps[desk + 1 :]))
+            )
     return found

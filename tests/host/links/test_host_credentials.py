@@ -172,7 +172,7 @@ def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, mo
     anna = identity_in(ring.issue("person", "anna").certificate, keys.authority)
     backup.write_text("no folder can be made here")
 
-    async def story():
+    async def scenario():
         admission.on_handshake(anna, Hello("observer", "observer", 0))
         admission.on_revocation_list(ring.revocation_list(1, anna.serial, "ff"))
         while len(tries) < 5:
@@ -190,7 +190,7 @@ def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, mo
         assert lines[-1] == "certificate revocation list 2 stored"
         assert keystore.read_crl(backup) == newest
 
-    asyncio.run(story())
+    asyncio.run(scenario())
 
 
 def test_a_revoked_host_does_not_start(ring):

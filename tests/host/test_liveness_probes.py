@@ -113,13 +113,13 @@ class PipeLog:
         self.closed = asyncio.Event()
 
 
-def on_parent_pipe(story) -> PipeLog:
+def on_parent_pipe(scenario) -> PipeLog:
     async def main() -> PipeLog:
         log = PipeLog()
         near, far = os.pipe()
         try:
             ParentPipe(near, log.lines.append, log.closed.set)
-            await story(far)
+            await scenario(far)
             async with asyncio.timeout(30.0):
                 await log.closed.wait()
         finally:
@@ -130,21 +130,21 @@ def on_parent_pipe(story) -> PipeLog:
 
 
 def test_exit_lines_are_reported_and_the_end_of_the_pipe_stops():
-    async def story(far: int) -> None:
+    async def scenario(far: int) -> None:
         data = parent_pipe.exit_line("bravo") + b"something else\n" + parent_pipe.exit_line("cärol")
         for at in range(len(data)):
             os.write(far, data[at : at + 1])
             await asyncio.sleep(0)
         os.close(far)
 
-    assert on_parent_pipe(story).lines == ["bravo", "cärol"]
+    assert on_parent_pipe(scenario).lines == ["bravo", "cärol"]
 
 
 def test_garbage_on_the_parent_pipe_is_ignored():
-    async def story(far: int) -> None:
+    async def scenario(far: int) -> None:
         for data in (b"\xff\x00" * 1000 + b"\n", b"reaped " + b"x" * 20000, b"\nreaped bravo"):
             os.write(far, data)
             await asyncio.sleep(0.01)
         os.close(far)
 
-    assert len(on_parent_pipe(story).lines) <= 1
+    assert len(on_parent_pipe(scenario).lines) <= 1
