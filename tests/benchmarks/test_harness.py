@@ -43,7 +43,7 @@ def failing(checkout, processes):
 def bench(monkeypatch):
     """Runs the command on figures; returns its status and what it printed."""
 
-    def run(figures, *words):
+    def run(figures, *arguments):
         modules = {}
         for name, figure in figures.items():
             module = modules[name] = f"figure_of_{name}"
@@ -52,7 +52,7 @@ def bench(monkeypatch):
                 made.FIGURE = figure
                 monkeypatch.setitem(sys.modules, module, made)
         out = Console(file=io.StringIO(), width=160)
-        return main(modules, words, out), out.file.getvalue()
+        return main(modules, arguments, out), out.file.getvalue()
 
     return run
 

@@ -36,7 +36,7 @@ PF_EXITING = 0x4
 class Process:
     """A running command; its lines are stored as they arrive, by stream."""
 
-    def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
+    def __init__(self, *arguments: str, mark: str, stdin: bool = False, **options) -> None:
         # Runs of hosts that a test starts are recorded in the folder of the test.
         state = str(options.get("cwd", tempfile.gettempdir()))
         own = {"XDG_STATE_HOME": state, "XDG_CONFIG_HOME": f"{state}/config", MARK: mark}
@@ -50,7 +50,7 @@ class Process:
         options.setdefault("stdout", subprocess.PIPE)
         options.setdefault("stderr", subprocess.PIPE)
         self.popen = subprocess.Popen(
-            [sys.executable, "-m", "lfield", *map(str, words)],
+            [sys.executable, "-m", "lfield", *map(str, arguments)],
             env=environment,
             stdin=subprocess.PIPE if stdin else subprocess.DEVNULL,
             start_new_session=True,
@@ -190,15 +190,15 @@ class Lfield:
         """The variables that mark a process and its children as part of this test."""
         return {**os.environ, "XDG_CONFIG_HOME": f"{self.folder}/config", MARK: self.mark}
 
-    def start(self, *words: object, **options) -> Process:
+    def start(self, *arguments: object, **options) -> Process:
         """Start a command without waiting for its end."""
-        process = Process(*map(str, words), mark=self.mark, cwd=self.folder, **options)
+        process = Process(*map(str, arguments), mark=self.mark, cwd=self.folder, **options)
         self.started.append(process)
         return process
 
-    def __call__(self, *words: object, status: int | None = None, **options) -> Process:
+    def __call__(self, *arguments: object, status: int | None = None, **options) -> Process:
         """Run a command to its end; asserts the exit status if one is given."""
-        process = self.start(*words, **options)
+        process = self.start(*arguments, **options)
         ended = process.wait()
         assert status in (None, ended), f"exit status {ended}\n{process.said}"
         return process
@@ -311,11 +311,11 @@ def here(
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
     builds_here.use(monkeypatch)
 
-    def run(*words: object, status: int | None = None, env: Mapping[str, str] | None = None) -> Said:
+    def run(*arguments: object, status: int | None = None, env: Mapping[str, str] | None = None) -> Said:
         with pytest.MonkeyPatch.context() as patch:
             for name, value in (env or {}).items():
                 patch.setenv(name, value)
-            ended = main([str(word) for word in words])
+            ended = main([str(word) for word in arguments])
         output = capfd.readouterr()
         assert "a bug in lfield" not in output.err
         assert status in (None, ended), f"exit status {ended}\n{output.out}\n{output.err}"

@@ -20,8 +20,8 @@ TIMEOUT = 60.0
 PEER = Path(__file__).with_name("peer.py")
 
 
-def command(*words: str) -> None:
-    subprocess.run(words, check=True, capture_output=True)
+def command(*arguments: str) -> None:
+    subprocess.run(arguments, check=True, capture_output=True)
 
 
 def can_be_made() -> bool:
@@ -112,8 +112,8 @@ class Network:
     def _etc(self, host: str) -> Path:
         return Path("/etc/netns") / self._named(host)
 
-    def _ip(self, namespace: str, *words: str) -> None:
-        command("ip", "-n", namespace, *words)
+    def _ip(self, namespace: str, *arguments: str) -> None:
+        command("ip", "-n", namespace, *arguments)
 
     def plug_in(self, host: str) -> None:
         """Give a computer an interface at the switch."""
@@ -154,9 +154,9 @@ class Network:
         arguments = [sys.executable, str(PEER), host, str(self._keys), *places]
         return self.run(host, *arguments)
 
-    def run(self, host: str, *words: str) -> Process:
+    def run(self, host: str, *arguments: str) -> Process:
         """Run a program on a computer."""
-        process = Process(["ip", "netns", "exec", self._named(host), *words])
+        process = Process(["ip", "netns", "exec", self._named(host), *arguments])
         self._processes.append(process)
         return process
 

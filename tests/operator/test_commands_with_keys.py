@@ -220,11 +220,11 @@ def asked_of(user: int, request, heard: list[object] | None = None):
     """The answer of a host of this user: the kernel reports the user of the listening process."""
     host = Alpha()
 
-    async def scenario(door: str):
+    async def scenario(address: str):
         transport = TcpTransport(1 << 20)
         os.seteuid(user)
         try:
-            listener = await transport.listen(door, host.called)
+            listener = await transport.listen(address, host.called)
         finally:
             os.seteuid(0)
         try:

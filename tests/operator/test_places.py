@@ -252,7 +252,7 @@ def test_a_manifest_is_locked_before_a_group_may_read_it(monkeypatch, group):
 def test_a_user_who_cannot_share_files_is_told_and_the_run_is_found(monkeypatch, group):
     """The test runs as root of a user namespace."""
 
-    def refused(*words: object) -> None:
+    def refused(*arguments: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "fchown", refused)

@@ -65,18 +65,18 @@ def installation(python: StandalonePython | None = None, version: str = "0.4.0")
     )
 
 
-def provisioned(facts: RobotFacts, wanted: Installation) -> RobotFacts:
+def provisioned(facts: RobotFacts, expected: Installation) -> RobotFacts:
     """The facts after all steps."""
-    files = (*wanted.settings, *wanted.keys, wanted.unit)
+    files = (*expected.settings, *expected.keys, expected.unit)
     return replace(
         facts,
-        service_groups=frozenset({"lfield"}) | wanted.groups,
+        service_groups=frozenset({"lfield"}) | expected.groups,
         member_of=facts.member_of | {"lfield"},
-        wheels={wheel.file: wheel.sha256 for wheel in wanted.payload.wheels},
-        versions=facts.versions | {wanted.payload.environment},
-        current=wanted.payload.environment,
-        started=wanted.configuration,
-        standalone=frozenset({wanted.payload.python.version} if wanted.payload.python else ()),
+        wheels={wheel.file: wheel.sha256 for wheel in expected.payload.wheels},
+        versions=facts.versions | {expected.payload.environment},
+        current=expected.payload.environment,
+        started=expected.configuration,
+        standalone=frozenset({expected.payload.python.version} if expected.payload.python else ()),
         files={file.path: file.sha256 for file in files},
         modes={file.path: file.access for file in files},
         has_private_keys_folder=True,

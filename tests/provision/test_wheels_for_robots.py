@@ -113,9 +113,9 @@ class Index:
     def __init__(self, *missing: str) -> None:
         self.missing, self.requests = set(missing), 0
 
-    async def download(self, *words: str, operation: str) -> None:
+    async def download(self, *arguments: str, operation: str) -> None:
         self.requests += 1
-        folder, lock = Path(words[words.index("-d") + 1]), Path(words[words.index("-r") + 1])
+        folder, lock = Path(arguments[arguments.index("-d") + 1]), Path(arguments[arguments.index("-r") + 1])
         pins = read_lock(lock.read_text(), "")
         if names(pins) & self.missing:
             raise ProvisionError("", f"{operation}: no matching distribution")

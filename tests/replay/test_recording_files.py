@@ -61,18 +61,18 @@ def both(parent, team, wall=1.8e9, **options):
     return [write_folder(parent, team, number, wall, **options) for number in range(2)]
 
 
-def result_of(capsys, *words) -> dict:
+def result_of(capsys, *arguments) -> dict:
     """The result that `lfield replay --json` prints."""
-    status = main(["replay", "--json", *map(str, words)])
+    status = main(["replay", "--json", *map(str, arguments)])
     found = json.loads(capsys.readouterr().out)
     assert "differences" in found, found
     assert status == (exit_status.FAILED if found["differences"] else exit_status.DONE)
     return found
 
 
-def refused(capsys, *words) -> str:
+def refused(capsys, *arguments) -> str:
     """The message of `lfield replay` for a recording that cannot be used."""
-    status = main(["replay", *map(str, words)])
+    status = main(["replay", *map(str, arguments)])
     assert status == exit_status.DATA
     return capsys.readouterr().err
 

@@ -99,11 +99,11 @@ class Field:
         """A mission for the first vehicle."""
         return Mission.on(self.vehicle, self.folder(), program, agents, endpoint)
 
-    def lfield(self, *words: str | Path) -> Command:
+    def lfield(self, *arguments: str | Path) -> Command:
         """Starts a command of lfield."""
         for simulator in self.simulators:
             assert not simulator.failure, simulator.failure
-        return Command(self.folder(), *words)
+        return Command(self.folder(), *arguments)
 
     def up(self, mission: Mission, *options: str) -> Command:
         """Starts the host of a mission."""

@@ -246,9 +246,9 @@ def door():
         yield one
 
 
-def has_been_knocked_at(door: socket.socket) -> bool:
+def has_been_knocked_at(address: socket.socket) -> bool:
     try:
-        door.accept()[0].close()
+        address.accept()[0].close()
     except BlockingIOError:
         return False
     return True

@@ -40,7 +40,7 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(folder: Path, *words: str, pytest_variables: bool = False) -> tuple[int, str]:
+def run(folder: Path, *arguments: str, pytest_variables: bool = False) -> tuple[int, str]:
     """A command of Python in a project; its status and output."""
     kept_names = ("PYTEST_ADDOPTS",) if pytest_variables else ()
     environment = {
@@ -49,7 +49,12 @@ def run(folder: Path, *words: str, pytest_variables: bool = False) -> tuple[int,
         if name in kept_names or not name.startswith("PYTEST")
     }
     done = subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=240.0
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=240.0,
     )
     return done.returncode, done.stdout + done.stderr
 

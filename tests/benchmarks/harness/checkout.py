@@ -97,19 +97,19 @@ class Checkout:
         usage = subprocess.run(command, capture_output=True, text=True, cwd=self.root, env=self.environment)
         return usage.stdout
 
-    def run(self, processes: Processes, *words: str, merged: bool = False) -> Child:
+    def run(self, processes: Processes, *arguments: str, merged: bool = False) -> Child:
         """Start a Python command of the checkout, in its folder."""
         return processes.start(
-            self.python, *words, environment=self.environment, folder=self.root, merged=merged
+            self.python, *arguments, environment=self.environment, folder=self.root, merged=merged
         )
 
-    def lfield(self, processes: Processes, *words: str, merged: bool = False) -> Child:
+    def lfield(self, processes: Processes, *arguments: str, merged: bool = False) -> Child:
         """Start an `lfield` command of the checkout."""
-        return self.run(processes, "-m", "lfield", *words, merged=merged)
+        return self.run(processes, "-m", "lfield", *arguments, merged=merged)
 
-    def fake(self, processes: Processes, kind: str, *words: str) -> str:
+    def fake(self, processes: Processes, kind: str, *arguments: str) -> str:
         """Start a stand-alone fake; returns the endpoint that it listens on."""
-        return self.run(processes, "-m", "lfield_sim", kind, *words).line().split()[1]
+        return self.run(processes, "-m", "lfield_sim", kind, *arguments).line().split()[1]
 
 
 @dataclass(slots=True)

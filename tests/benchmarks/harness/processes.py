@@ -144,13 +144,13 @@ class Processes:
 
     def start(
         self,
-        *words: str,
+        *arguments: str,
         environment: Mapping[str, str] = os.environ,
         folder: Path | None = None,
         merged: bool = False,
     ) -> Child:
         """Start a command in a folder (default: the current one)."""
-        child = Child(words, environment, folder or Path.cwd(), merged)
+        child = Child(arguments, environment, folder or Path.cwd(), merged)
         self._open.callback(child.end)
         return child
 

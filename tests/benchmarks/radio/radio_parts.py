@@ -235,10 +235,10 @@ def peers(checkout: Checkout, name: str, size: int, pause: float = 0.0, *, fresh
         keys = str(Keyring(processes.folder()).give("host") / "host")
         radios = [processes.keep(Radio(NEAR, FAR, seed=seed)) for seed in seeds]
 
-        def children(robot: str, what: str, *words: str) -> list[Child]:
+        def children(robot: str, what: str, *arguments: str) -> list[Child]:
             """Start the children, then wait for a line of each: a client's first echo is not measured."""
             environment, command = checkout.environment, (checkout.python, _PEERS, what, name)
-            lines = [r[robot].line((*command, r[FAR].address, keys, *words)) for r in radios]
+            lines = [r[robot].line((*command, r[FAR].address, keys, *arguments)) for r in radios]
             started = [processes.start(*line, environment=environment) for line in lines]
             for child in started:
                 child.line(_TIMEOUT)

@@ -75,9 +75,9 @@ class RadioTeam:
         inventory.write_text(text, encoding="utf-8")
         return ["--inventory", str(inventory)]
 
-    def desk(self, *words: str) -> Child:
+    def desk(self, *arguments: str) -> Child:
         """Start a Python command at the desk, which has keys with all rights."""
-        return self._start(DESK, *words)
+        return self._start(DESK, *arguments)
 
     def watch(self) -> Child:
         """Start `lfield watch` at the desk; the first output line with http has the link of the page."""
@@ -97,7 +97,7 @@ class RadioTeam:
         arguments = str(self._prepared.bundle), *self._network(host), "--host", host, *memory, *simulated
         return self._start(host, "-m", "lfield", "up", *arguments)
 
-    def _start(self, name: str, *words: str) -> Child:
+    def _start(self, name: str, *arguments: str) -> Child:
         own = self._folder / name
         own.mkdir(mode=0o700, exist_ok=True)
         checkout = self._prepared.checkout
@@ -107,6 +107,6 @@ class RadioTeam:
             "XDG_STATE_HOME": str(own),
             "PYTHONUNBUFFERED": "1",
         }
-        line = self.radio[name].line((checkout.python, *words))
+        line = self.radio[name].line((checkout.python, *arguments))
         start = self._prepared.processes.start
         return start(*line, environment=environment, folder=checkout.root, merged=True)

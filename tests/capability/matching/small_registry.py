@@ -55,14 +55,14 @@ def constraint_of(text: str) -> Expression:
 
 
 def over_parts(
-    text: str, needs: Iterable[str], wanted: Expectation = "any", whole: Iterable[str] = ()
+    text: str, needs: Iterable[str], expected: Expectation = "any", whole: Iterable[str] = ()
 ) -> Expression:
     """An expression in the rule of a composition."""
     expression, mistakes = parse_expression(text)
     assert expression is not None, mistakes
     assert not (
         found := check_expression(
-            expression, NameScope.of_parts(ATTRIBUTES, list(needs), list(whole)), wanted
+            expression, NameScope.of_parts(ATTRIBUTES, list(needs), list(whole)), expected
         )
     ), found
     return expression

@@ -74,8 +74,8 @@ def run(tmp_path, monkeypatch, capsys):
     (tmp_path / "mission.capabilities.yaml").write_text(MISSION)
     monkeypatch.chdir(tmp_path)
 
-    def ran(*words: str) -> tuple[int, list[str], list[str]]:
-        status = main(["capabilities", *words])
+    def ran(*arguments: str) -> tuple[int, list[str], list[str]]:
+        status = main(["capabilities", *arguments])
         output = capsys.readouterr()
         assert "a bug in lfield" not in output.err
         return status, output.out.splitlines(), output.err.splitlines()

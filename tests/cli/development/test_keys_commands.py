@@ -143,9 +143,9 @@ def test_invalid_command_lines_of_keys_and_sign_are_refused(
     assert words in result.err[0]
 
 
-@pytest.mark.parametrize("words", ["observe, stop", "stop,", " observe ,stop , "])
-def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, words: str) -> None:
-    assert here("keys", "person", "bob", "--may", words).out[0].endswith("may observe,stop")
+@pytest.mark.parametrize("arguments", ["observe, stop", "stop,", " observe ,stop , "])
+def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, arguments: str) -> None:
+    assert here("keys", "person", "bob", "--may", arguments).out[0].endswith("may observe,stop")
 
 
 def test_the_hint_for_a_missing_right_grants_it(here, team: Path) -> None:

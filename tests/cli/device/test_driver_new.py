@@ -60,9 +60,9 @@ def sensor_site(tmp_path_factory):
     return folder
 
 
-def lfield(site, *words, **options):
+def lfield(site, *arguments, **options):
     return subprocess.Popen(
-        [sys.executable, "-m", "lfield.cli.main", *words],
+        [sys.executable, "-m", "lfield.cli.main", *arguments],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options,
     )  # fmt: skip

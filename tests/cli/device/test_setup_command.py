@@ -146,8 +146,10 @@ def test_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
 def test_settings_of_one_vehicle_are_not_restored_to_another(lfield, setup):
     """Two vehicles with the same system id, used in sequence on one computer."""
 
-    def there(where, *words):
-        fake = lfield.start("sim", "mavlink", "--until-stdin-closes", "--listen", where, *words, stdin=True)
+    def there(where, *arguments):
+        fake = lfield.start(
+            "sim", "mavlink", "--until-stdin-closes", "--listen", where, *arguments, stdin=True
+        )
         return fake, fake.wait_for(r"^ready (\S+)")[1]
 
     def gone(fake):

@@ -24,8 +24,8 @@ class Fakes:
         fake.endpoint = fake.wait_for(r"^ready (\S+)")[1]
         return fake
 
-    def fault(self, *words):
-        return self._here("sim", "fault", *words)
+    def fault(self, *arguments):
+        return self._here("sim", "fault", *arguments)
 
 
 @pytest.fixture

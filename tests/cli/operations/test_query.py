@@ -59,7 +59,7 @@ def ask(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         "--files Lift mission.dL",
         "Lift --files mission.dL",
@@ -67,8 +67,8 @@ def ask(folder, capsys):
         "Lift --team 2 mission.dL --files",
     ],
 )
-def test_the_mission_may_follow_an_option(words: str, folder, capsys) -> None:
-    assert main(["query", *words.split()]) == 0
+def test_the_mission_may_follow_an_option(arguments: str, folder, capsys) -> None:
+    assert main(["query", *arguments.split()]) == 0
     assert "arm1" in capsys.readouterr().out
 
 

@@ -19,10 +19,10 @@ def lifts_of(run: str) -> list[tuple[str, str]]:
     return re.findall(r"^(\w+) +\| foreman: the parcel went up by (.*) m$", run, re.M)
 
 
-def shown(lfield, alone, *words: str) -> str:
+def shown(lfield, alone, *arguments: str) -> str:
     """The output of Python, in the folder of the example."""
     environment = {**lfield.environment, **alone}
-    command = [sys.executable, *words]
+    command = [sys.executable, *arguments]
     done = subprocess.run(command, env=environment, cwd=DEMO.parent, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr

@@ -26,10 +26,10 @@ DEPLOYMENT = "//Painter:painter@alpha\n//Boss:boss@alpha\n"
 SHOWN = r"\u{1b}[31mred\u{9b}2J\u{202e}\r"
 
 
-def on_a_terminal(lfield, *words: object) -> tuple[bytes, int]:
+def on_a_terminal(lfield, *arguments: object) -> tuple[bytes, int]:
     """The output of a command on a terminal, and its status; stderr is a file."""
     terminal, end = pty.openpty()
-    command = [sys.executable, "-P", "-m", "lfield", *map(str, words)]
+    command = [sys.executable, "-P", "-m", "lfield", *map(str, arguments)]
     process = subprocess.Popen(
         command, stdout=end, stderr=subprocess.DEVNULL, cwd=lfield.folder, env=lfield.environment
     )

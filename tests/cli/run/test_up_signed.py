@@ -32,8 +32,8 @@ def made(lfield, here):
     return make
 
 
-def refused(lfield, *words: str) -> str:
-    host = lfield("up", "mission.lfm", "--host", "alpha", *words, status=65)
+def refused(lfield, *arguments: str) -> str:
+    host = lfield("up", "mission.lfm", "--host", "alpha", *arguments, status=65)
     (line,) = host.err
     return line
 

@@ -116,9 +116,9 @@ class Flight:
             assert time.monotonic() < end, self.host.said
             time.sleep(0.05)
 
-    def ask(self, *words: str):
+    def ask(self, *arguments: str):
         """Send a command to the host; returns its output and exit status."""
-        return self._lfield(*words[:1], *self.command, *words[1:], env=self.environment)
+        return self._lfield(*arguments[:1], *self.command, *arguments[1:], env=self.environment)
 
     def fault(self, *settings: str) -> None:
         output = self._lfield("sim", "fault", "mavlink", *settings, env=self.environment)

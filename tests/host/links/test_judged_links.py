@@ -307,13 +307,13 @@ class ObserverClient:
         self.over = True
 
 
-async def _observer(team, name, *words, greets=None):
+async def _observer(team, name, *arguments, greets=None):
     """A client with a link to alpha, as an observer; or as a host with the Hello `greets`."""
     client = ObserverClient()
     client.link = await team.network.transport(name).connect("alpha:8181", client)
     for message in (
         msgspec.structs.replace(greets, host=name, incarnation=9) if greets else OBSERVER,
-        *words,
+        *arguments,
     ):
         client.link.send(message)
     return client

@@ -80,11 +80,11 @@ class Client:
         await until(self.telemetry.subscribe_armed(), lambda armed: not armed)
 
 
-async def until(values, wanted):
+async def until(values, expected):
     """The first value for which `wanted` is true."""
     async with asyncio.timeout(LONGEST):
         async for value in values:
-            if wanted(value):
+            if expected(value):
                 return value
     raise AssertionError("the values ended")
 

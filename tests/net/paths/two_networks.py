@@ -89,8 +89,8 @@ class TwoNetworks:
     def _named(self, host: str) -> str:
         return f"lf-{self._tag}-{host}"
 
-    def _run(self, host: str, *words: str) -> None:
-        command("ip", "netns", "exec", self._named(host), *words)
+    def _run(self, host: str, *arguments: str) -> None:
+        command("ip", "netns", "exec", self._named(host), *arguments)
 
     def up(self, host: str, network: str) -> None:
         """Switch an interface on."""

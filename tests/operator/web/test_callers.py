@@ -59,10 +59,10 @@ def tried(scenario: Callable[..., Awaitable[None]]) -> None:
         loop, timers = asyncio.get_running_loop(), []
         usual = loop.call_later
 
-        def call_later(seconds, what, *words, **more):
+        def call_later(seconds, what, *arguments, **more):
             if seconds != HELD:
-                return usual(seconds, what, *words, **more)
-            timers.append((what, words))
+                return usual(seconds, what, *arguments, **more)
+            timers.append((what, arguments))
 
         def late() -> None:
             for what, words in timers:

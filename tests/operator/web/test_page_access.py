@@ -127,9 +127,9 @@ def gate(inside, door, known) -> AuthMiddleware:
     return AuthMiddleware(inside, door, "lfield-8000", lambda: None, known.append)
 
 
-def entered(gate: AuthMiddleware, door: PageSessions) -> str:
+def entered(gate: AuthMiddleware, address: PageSessions) -> str:
     """The cookie of a browser with a session."""
-    (start, _) = knock(gate, f"/?token={quote(door.token)}")
+    (start, _) = knock(gate, f"/?token={quote(address.token)}")
     headers = dict(start["headers"])
     assert (start["status"], headers[b"location"]) == (303, b"/")
     cookie = headers[b"set-cookie"].decode()
@@ -182,9 +182,9 @@ def test_cookies_may_come_in_several_headers(door, gate):
     assert cookie_values(headers, "lfield-8000") == (own,)
 
 
-def policies(gate, door, app) -> list[dict[str, str]]:
+def policies(gate, address, app) -> list[dict[str, str]]:
     """The directives of an answer of the page, and of a refusal."""
-    cookie = entered(gate, door)
+    cookie = entered(gate, address)
     answers = knock(app, "/", cookie=cookie), knock(app, "/")
     texts = [dict(answer[0]["headers"])[b"content-security-policy"].decode() for answer in answers]
     return [dict(part.strip().split(" ", 1) for part in text.split(";")) for text in texts]

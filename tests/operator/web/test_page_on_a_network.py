@@ -228,9 +228,9 @@ async def test_the_page_is_served_at_the_current_addresses_of_its_name(
     """The rule holds for both address families, and before an address of the name exists."""
     leads, real = ["192.0.2.1", "127.0.0.2", "10.99.99.99"], socket.getaddrinfo
 
-    def found(host, port, *words, flags=0, **more):
+    def found(host, port, *arguments, flags=0, **more):
         hosts = leads if host == NAME and not flags & socket.AI_NUMERICHOST else [host]
-        return [row for host in hosts for row in real(host, port, *words, flags=flags, **more)]
+        return [row for host in hosts for row in real(host, port, *arguments, flags=flags, **more)]
 
     monkeypatch.setattr(socket, "getaddrinfo", found)
     monkeypatch.setattr(listener, "CHECK_EVERY", 0.01)
@@ -268,7 +268,7 @@ def site_at(name: str, keys: WebKeys) -> None:
     asyncio.run(network_site(name, 0, keys, print))
 
 
-def unknown(*words: object, **more: object) -> list[object]:
+def unknown(*arguments: object, **more: object) -> list[object]:
     raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
 

@@ -80,9 +80,9 @@ class Desk:
         archive.parent.mkdir(parents=True, exist_ok=True)
         pack_python(archive)
 
-    def provision(self, *words: object) -> list[object]:
+    def provision(self, *arguments: object) -> list[object]:
         """The command line of `lfield provision` with the inventory of this desk."""
-        return [LFIELD, "provision", "--inventory", self.inventory, *words]
+        return [LFIELD, "provision", "--inventory", self.inventory, *arguments]
 
 
 def make_wheels(folder: Path, names: Iterable[str] = NAMES) -> None:

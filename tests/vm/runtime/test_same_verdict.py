@@ -106,27 +106,27 @@ def error_of(check: Callable[[], object]) -> str:
     return ""
 
 
-def damaged(image: bytes, dice: random.Random) -> bytes:
+def damaged(image: bytes, rng: random.Random) -> bytes:
     """Change a few words: to any value, to each other, or by a bit."""
     data = bytearray(image)
     w = memoryview(data).cast("q")
-    for _ in range(dice.choice([1, 1, 1, 2, 5])):
-        at, other = dice.randrange(len(w)), dice.randrange(len(w))
-        match dice.randrange(6):
+    for _ in range(rng.choice([1, 1, 1, 2, 5])):
+        at, other = rng.randrange(len(w)), rng.randrange(len(w))
+        match rng.randrange(6):
             case 0:
-                w[at] = dice.choice([0, 1, -1, -(1 << 63), (1 << 63) - 1, len(w), len(w) - 1, 1 << 32])
+                w[at] = rng.choice([0, 1, -1, -(1 << 63), (1 << 63) - 1, len(w), len(w) - 1, 1 << 32])
             case 1:
                 w[at] = w[other]
             case 2:
-                w[at] ^= 1 << dice.randrange(63)
+                w[at] ^= 1 << rng.randrange(63)
             case 3:
-                w[at] = dice.randrange(len(w))
+                w[at] = rng.randrange(len(w))
             case 4:
-                data[8 * at + dice.randrange(8)] = dice.choice(
+                data[8 * at + rng.randrange(8)] = rng.choice(
                     b"\x00\x41\x80\xbf\xc0\xc1\xc2\xe0\xed\xf0\xf4\xf5"
                 )
             case _:
-                w[at] = w[at] + dice.choice([-1, 1]) * (1 << dice.choice([0, 8, 32])) & (1 << 62) - 1
+                w[at] = w[at] + rng.choice([-1, 1]) * (1 << rng.choice([0, 8, 32])) & (1 << 62) - 1
     w[layout.W_TOP] = len(w)
     return bytes(data)
 

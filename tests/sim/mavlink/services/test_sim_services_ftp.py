@@ -52,13 +52,13 @@ class Client:
         assert (reply.number, reply.request_opcode) == (request.number + 1, request.opcode)
         return reply
 
-    def refused(self, *words, **options):
-        reply = self.ask(*words, **options)
+    def refused(self, *arguments, **options):
+        reply = self.ask(*arguments, **options)
         assert reply.opcode == NAK
         return FtpError(reply.data[0])
 
-    def ok(self, *words, **options):
-        reply = self.ask(*words, **options)
+    def ok(self, *arguments, **options):
+        reply = self.ask(*arguments, **options)
         assert reply.opcode == ACK, reply
         return reply
 
