@@ -120,10 +120,10 @@ def needs_namespaces(report: pytest.TestReport) -> bool:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Print notes of tests and reasons for skips; with -s also the tests with software of others."""
-    for why in sorted(
+    for reason in sorted(
         {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if needs_namespaces(skip)}
     ):
-        terminalreporter.write_line(f"NOT TESTED: {why.removeprefix('Skipped: ')}")
+        terminalreporter.write_line(f"NOT TESTED: {reason.removeprefix('Skipped: ')}")
     for report in terminalreporter.stats.get("passed", []):
         for name, note in report.user_properties:
             if name == "note":

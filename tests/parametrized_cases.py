@@ -35,12 +35,12 @@ class MergedCases(CallSpec):
 def sample(test: str, cases: Iterable[CallSpec], count: int) -> list[CallSpec]:
     """At most `count` cases, with as many values of each parameter as possible; always the same."""
     left = sorted(cases, key=lambda case: zlib.crc32(f"{test}[{case.id}]".encode()))
-    seen: set[tuple[str, int]] = set()
+    indices: set[tuple[str, int]] = set()
     found: list[CallSpec] = []
     while left and len(found) < count:
-        new = [len(case.indices.items() - seen) for case in left]
+        new = [len(case.indices.items() - indices) for case in left]
         found.append(left.pop(new.index(max(new))))
-        seen |= found[-1].indices.items()
+        indices |= found[-1].indices.items()
     return found
 
 

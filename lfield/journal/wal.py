@@ -140,7 +140,7 @@ def _parse(data: bytes) -> Wal:
         salts = slots[0][2]
     end = max((at + 1 for at, slot in enumerate(slots) if slot[2] == salts), default=0)
     before: Checksums = sums[0], sums[1]
-    frames, believed, goes_on = list[WalFrame](), 0, is_valid
+    frames, believed, is_contiguous = list[WalFrame](), 0, is_valid
     for number, size, stored_salts, checked, image, found in slots[:end]:
         fits = (
             stored_salts == salts
@@ -152,8 +152,8 @@ def _parse(data: bytes) -> Wal:
             if stored_salts == salts
             else WalFrame(0, 0, image, is_checksum_valid=False)
         )
-        goes_on = goes_on and fits
-        believed += goes_on
+        is_contiguous = is_contiguous and fits
+        believed += is_contiguous
         before = found
     return Wal(frames, believed)
 

@@ -47,9 +47,13 @@ def keys_of(
 
 
 def test_issued_keys_have_the_name_and_rights_of_their_holder(authority: CertificateAuthority) -> None:
-    who = verify_keys(keys_of(authority, "alpha"))
-    assert (who.kind, who.name, who.may) == ("host", "alpha", frozenset())
-    assert (who.valid_from, who.valid_until, who.authority) == (AT, AT + DAY, authority.fingerprint)
+    identity = verify_keys(keys_of(authority, "alpha"))
+    assert (identity.kind, identity.name, identity.may) == ("host", "alpha", frozenset())
+    assert (identity.valid_from, identity.valid_until, identity.authority) == (
+        AT,
+        AT + DAY,
+        authority.fingerprint,
+    )
     anna = verify_keys(keys_of(authority, "anna", "person", may=[Right.STOP, Right.OBSERVE]))
     assert (anna.kind, anna.name, anna.may) == ("person", "anna", {Right.STOP, Right.OBSERVE})
     assert fingerprint_in(authority.certificate) == authority.fingerprint
@@ -91,7 +95,7 @@ def test_mismatched_keys_are_refused(
     authority: CertificateAuthority, other_authority: CertificateAuthority
 ) -> None:
     alpha, bravo = keys_of(authority), keys_of(authority, "bravo")
-    for wrong, words in (
+    for wrong, text in (
         (
             Keys("host", alpha.authority, alpha.certificate, bravo.key),
             "not that of the certificate of host a",
@@ -105,7 +109,7 @@ def test_mismatched_keys_are_refused(
         (Keys("host", alpha.authority, alpha.certificate, b"x"), "not a private key"),
         (Keys("host", alpha.authority, alpha.certificate, alpha.key, b"x"), "revocation list cannot be read"),
     ):
-        with pytest.raises(KeysError, match=words):
+        with pytest.raises(KeysError, match=text):
             verify_keys(wrong)
 
 

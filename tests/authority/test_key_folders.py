@@ -51,62 +51,62 @@ def test_user_without_home_has_no_own_keys(tmp_path: Path, monkeypatch: pytest.M
 def test_keys_are_read_back_and_the_private_key_is_protected(ledger: Ledger) -> None:
     before = os.umask(0)
     try:
-        made = ledger.make("host", "alpha", (), AT, AT + DAY)
+        keys_folder = ledger.make("host", "alpha", (), AT, AT + DAY)
     finally:
         os.umask(before)
-    keys = folders.read_keys(made.folder, "host")
-    assert verify_keys(keys) == made.identity
-    assert {path.name: mode(path) for path in made.folder.iterdir()} == {
+    keys = folders.read_keys(keys_folder.folder, "host")
+    assert verify_keys(keys) == keys_folder.identity
+    assert {path.name: mode(path) for path in keys_folder.folder.iterdir()} == {
         "authority.pem": 0o644,
         "host.pem": 0o644,
         "host.key": 0o600,
         "revoked.crl": 0o644,
     }
-    assert mode(made.folder) == mode(made.folder.parent) == mode(ledger.folder) == 0o700
+    assert mode(keys_folder.folder) == mode(keys_folder.folder.parent) == mode(ledger.folder) == 0o700
     assert mode(ledger.folder / "issued") == 0o700
     assert mode(ledger.folder / "authority.key") == 0o600
 
 
 @pytest.mark.parametrize("bits", [0o640, 0o604, 0o610, 0o601])
 def test_private_key_readable_by_others_is_refused(ledger: Ledger, bits: int) -> None:
-    made = ledger.make("host", "alpha", (), AT, AT + DAY)
-    key = made.folder / "host.key"
+    keys_folder = ledger.make("host", "alpha", (), AT, AT + DAY)
+    key = keys_folder.folder / "host.key"
     key.chmod(bits)
-    check_refused(made.folder, f"it is secret, and others may read it: run 'chmod 600 {key}'")
+    check_refused(keys_folder.folder, f"it is secret, and others may read it: run 'chmod 600 {key}'")
     key.chmod(0o400)
-    folders.read_keys(made.folder, "host")
+    folders.read_keys(keys_folder.folder, "host")
 
 
 def test_key_files_writable_by_others_are_refused(ledger: Ledger) -> None:
-    made = ledger.make("host", "alpha", (), AT, AT + DAY)
-    (made.folder / "authority.pem").chmod(0o664)
-    check_refused(made.folder, r"authority.pem cannot be used: others may write to it")
-    (made.folder / "authority.pem").chmod(0o644)
-    made.folder.chmod(0o770)
-    check_refused(made.folder, "others may write to the folder")
+    keys_folder = ledger.make("host", "alpha", (), AT, AT + DAY)
+    (keys_folder.folder / "authority.pem").chmod(0o664)
+    check_refused(keys_folder.folder, r"authority.pem cannot be used: others may write to it")
+    (keys_folder.folder / "authority.pem").chmod(0o644)
+    keys_folder.folder.chmod(0o770)
+    check_refused(keys_folder.folder, "others may write to the folder")
 
 
 def test_missing_linked_or_too_large_key_files_are_refused(ledger: Ledger, tmp_path: Path) -> None:
-    made = ledger.make("host", "alpha", (), AT, AT + DAY)
-    key = made.folder / "host.key"
+    keys_folder = ledger.make("host", "alpha", (), AT, AT + DAY)
+    key = keys_folder.folder / "host.key"
     key.rename(tmp_path / "elsewhere")
-    check_refused(made.folder, r"host.key is not there: copy the folder again")
+    check_refused(keys_folder.folder, r"host.key is not there: copy the folder again")
     key.symlink_to(tmp_path / "elsewhere")
-    check_refused(made.folder, "it is a link; copy the file itself")
+    check_refused(keys_folder.folder, "it is a link; copy the file itself")
     key.unlink()
     os.mkfifo(key, 0o600)
-    check_refused(made.folder, "not a plain file")
+    check_refused(keys_folder.folder, "not a plain file")
     key.unlink()
-    folders.write_keys(made.folder, Keys("host", b"a", b"c", b"k" * (17 << 10)))
-    check_refused(made.folder, "too large")
+    folders.write_keys(keys_folder.folder, Keys("host", b"a", b"c", b"k" * (17 << 10)))
+    check_refused(keys_folder.folder, "too large")
 
 
 def test_link_to_a_key_folder_is_followed_and_checked(ledger: Ledger, tmp_path: Path) -> None:
-    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    keys_folder = ledger.make("host", "alpha", (), AT, AT + DAY)
     link = tmp_path / "link"
-    link.symlink_to(made.folder)
-    assert folders.read_keys(link, "host") == folders.read_keys(made.folder, "host")
-    made.folder.chmod(0o770)
+    link.symlink_to(keys_folder.folder)
+    assert folders.read_keys(link, "host") == folders.read_keys(keys_folder.folder, "host")
+    keys_folder.folder.chmod(0o770)
     check_refused(link, "others may write to the folder")
 
 
@@ -124,19 +124,19 @@ def test_host_keys_without_a_revocation_list_are_refused(ledger: Ledger) -> None
 @given(data=st.data())
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_truncated_copy_of_keys_is_refused(ledger: Ledger, data) -> None:
-    folder, who = _alpha_keys(ledger)
+    folder, found_keys = _alpha_keys(ledger)
     path = data.draw(st.sampled_from(sorted(folder.iterdir())))
-    whole = path.read_bytes()
-    length = data.draw(st.one_of(st.just(0), st.integers(0, len(whole) - 1)))
-    path.write_bytes(whole[:length])
+    content = path.read_bytes()
+    length = data.draw(st.one_of(st.just(0), st.integers(0, len(content) - 1)))
+    path.write_bytes(content[:length])
     try:
-        found = verify_keys(folders.read_keys(folder, who.kind))
+        found = verify_keys(folders.read_keys(folder, found_keys.kind))
     except KeysError:
         found = None
     (finding,) = health(folder, AT)
-    path.write_bytes(whole)
+    path.write_bytes(content)
     # A PEM text is complete without the newline at its end.
-    assert found == (who if path.suffix != ".crl" and not whole[length:].strip() else None)
+    assert found == (found_keys if path.suffix != ".crl" and not content[length:].strip() else None)
     assert finding.state == ("problem" if found is None else "warning")
 
 
@@ -164,25 +164,25 @@ def test_error_names_the_truncated_file_of_an_authority(ledger: Ledger, part: fl
     ledger.make("host", "alpha", (), AT, AT + DAY)
     for path in (*ledger.folder.glob("issued/*"), *ledger.folder.glob("*.*")):
         named = path if part == 0 or path.stem != "authority" else ledger.folder
-        whole = path.read_bytes()
-        path.write_bytes(whole[: int(part * len(whole))])
+        content = path.read_bytes()
+        path.write_bytes(content[: int(part * len(content))])
         with pytest.raises(KeysError, match=re.escape(f"{named}")), open_ledger(ledger.folder) as again:
             again.rows(AT)
-        path.write_bytes(whole)
+        path.write_bytes(content)
 
 
 def test_authority_without_its_revocation_list_is_refused(ledger: Ledger) -> None:
     ledger.make("host", "alpha", (), AT, AT + DAY)
     revoked = ledger.revoke("host", "alpha", AT)
-    kept = (ledger.folder / "revoked.crl").rename(ledger.folder / "kept")
+    backup = (ledger.folder / "revoked.crl").rename(ledger.folder / "kept")
     with (
         pytest.raises(KeysError, match="copy it there from the keys of any host"),
         open_ledger(ledger.folder),
     ):
         pass
-    kept.rename(ledger.folder / "revoked.crl")
+    backup.rename(ledger.folder / "revoked.crl")
     with open_ledger(ledger.folder) as again:
-        assert again.revoked.serials == {who.serial for who in revoked}
+        assert again.revoked.serials == {keys.serial for keys in revoked}
 
 
 def test_key_folders_are_searched_in_order(
@@ -290,10 +290,10 @@ def test_existing_keys_are_renewed_not_created_again(ledger: Ledger) -> None:
 
 
 def test_keys_are_renewed_without_a_stored_private_key(ledger: Ledger) -> None:
-    made = ledger.make("host", "alpha", (), AT, AT + DAY)
-    (made.folder / "host.key").unlink()
+    keys_folder = ledger.make("host", "alpha", (), AT, AT + DAY)
+    (keys_folder.folder / "host.key").unlink()
     ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY)
-    assert not (made.folder / "host.key").exists()
+    assert not (keys_folder.folder / "host.key").exists()
 
 
 def test_expired_keys_can_be_created_again(ledger: Ledger) -> None:
@@ -311,7 +311,7 @@ def test_revocation_covers_all_keys_and_updates_every_folder(ledger: Ledger) -> 
     assert states(ledger) == [("host alpha", "revoked"), ("host alpha", "revoked"), ("host bravo", "good")]
     for folder in (ledger.folder, alpha.folder, bravo.folder):
         found = revoked_in(folders.read_crl(folder), ledger.authority.certificate)
-        assert (found.number, found.serials) == (int(AT) + 2, {who.serial for who in revoked})
+        assert (found.number, found.serials) == (int(AT) + 2, {keys.serial for keys in revoked})
     with pytest.raises(KeysError, match="no keys of this authority that are not revoked"):
         ledger.revoke("host", "alpha", AT + 2)
     with pytest.raises(KeysError, match="no keys that are not revoked: 'lfield keys host alpha' makes some"):
@@ -329,12 +329,12 @@ def test_one_certificate_is_revoked_by_its_serial_number(ledger: Ledger) -> None
     assert ledger.revoke_serial(new.serial, AT + 2) == [new]
     assert ledger.rows(AT)[0] == (old, "good")
     assert ledger.renew("host", "alpha", AT + 3, AT + 9 * DAY).identity.serial not in (old.serial, new.serial)
-    for serial, words in (
+    for serial, text in (
         (new.serial, "is revoked already"),
         ("x", "is not the number"),
         ("abcdef0", "no cert"),
     ):
-        with pytest.raises(KeysError, match=words):
+        with pytest.raises(KeysError, match=text):
             ledger.revoke_serial(serial, AT + 3)
 
 
@@ -363,9 +363,9 @@ def test_unknown_certificate_is_revoked_by_its_full_number(ledger: Ledger) -> No
 
 
 def test_issued_keys_stay_valid_after_renewing_the_authority(ledger: Ledger) -> None:
-    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    keys_folder = ledger.make("host", "alpha", (), AT, AT + DAY)
     ledger.renew_authority(AT + 1, AT + 9999 * DAY)
-    assert verify_keys(folders.read_keys(made.folder, "host")) == made.identity
+    assert verify_keys(folders.read_keys(keys_folder.folder, "host")) == keys_folder.identity
     assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).identity.valid_until == AT + 9000 * DAY
 
 

@@ -84,8 +84,8 @@ def test_stolen_root_cannot_sign_for_public_names(
 
 def test_page_certificate_expires_with_the_root(root: BrowserCa) -> None:
     short = new_browser_ca(AT, AT + DAY)
-    made = short.issue(NAMES, at=AT, ends=AT + 365 * DAY)
-    assert parse_web_keys(made.certificate, made.key).valid_until == AT + DAY
+    keys = short.issue(NAMES, at=AT, ends=AT + 365 * DAY)
+    assert parse_web_keys(keys.certificate, keys.key).valid_until == AT + DAY
     with pytest.raises(KeysError, match=r"expired 2026-.*: remove browsers.crt and browsers.key"):
         short.issue(NAMES, at=AT + DAY, ends=AT + 2 * DAY)
 
@@ -250,7 +250,7 @@ def test_invalid_page_keys_are_refused_with_a_reason(
         read_web_keys(tmp_path)
     other = root.issue(NAMES, at=AT, ends=AT + DAY)
     host = new_authority(AT, AT + DAY).issue("host", "alpha", at=AT, ends=AT + DAY)
-    for certificate, key, words in (
+    for certificate, key, text in (
         (page.certificate, other.key, "is not the key of the first certificate"),
         (page.certificate, b"", "page.key is empty: it was cut short"),
         (page.certificate, page.key[:30], "page.key is not a private key"),
@@ -260,7 +260,7 @@ def test_invalid_page_keys_are_refused_with_a_reason(
         (host.certificate, host.key, "browsers take keys of RSA"),
     ):
         write_web_keys(tmp_path / "page", certificate, key)
-        with pytest.raises(KeysError, match=words):
+        with pytest.raises(KeysError, match=text):
             read_web_keys(tmp_path / "page")
 
 

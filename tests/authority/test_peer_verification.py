@@ -64,13 +64,13 @@ def test_expired_peer_may_finish_an_active_mission(
 def test_revoked_host_keeps_only_its_link_during_a_mission(
     kind: Kind, known: PeerStage, is_active: bool
 ) -> None:
-    who = BRAVO if kind == "host" else ANNA
+    identity = BRAVO if kind == "host" else ANNA
     found = verify_peer(
-        who, at=1500.0, authority=OURS, revoked=LISTED, known=known, is_mission_active=is_active
+        identity, at=1500.0, authority=OURS, revoked=LISTED, known=known, is_mission_active=is_active
     )
     assert found.extent == ("finish" if (kind, known, is_active) == ("host", "linked", True) else "nothing")
-    assert f"the keys of {who} are revoked (list 3)" in found.reason
-    assert extent_of(replace(who, serial="c1"), revoked=LISTED) == "all"
+    assert f"the keys of {identity} are revoked (list 3)" in found.reason
+    assert extent_of(replace(identity, serial="c1"), revoked=LISTED) == "all"
 
 
 def test_certificate_of_the_future_suggests_setting_the_clock() -> None:

@@ -43,7 +43,7 @@ def failing(checkout, processes):
 def bench(monkeypatch):
     """Runs the command on figures; returns its status and what it printed."""
 
-    def run(figures, *words):
+    def run(figures, *arguments):
         modules = {}
         for name, figure in figures.items():
             module = modules[name] = f"figure_of_{name}"
@@ -52,7 +52,7 @@ def bench(monkeypatch):
                 made.FIGURE = figure
                 monkeypatch.setitem(sys.modules, module, made)
         out = Console(file=io.StringIO(), width=160)
-        return main(modules, words, out), out.file.getvalue()
+        return main(modules, arguments, out), out.file.getvalue()
 
     return run
 
@@ -170,7 +170,7 @@ def test_zero_cost_or_a_single_size_has_no_growth():
 
 def test_target_may_be_of_one_contender_in_one_case():
     figure = Figure("", {}, targets={"a: case": "1x", "case": "2x", "b": "3x"})
-    assert [figure.target(*asked) for asked in (("case", "a"), ("case", "b"), ("other", "b"))] == [
+    assert [figure.target(*key) for key in (("case", "a"), ("case", "b"), ("other", "b"))] == [
         "1x",
         "2x",
         "3x",
@@ -185,8 +185,8 @@ def test_failing_contender_leaves_the_others():
 
 
 def test_ratio_to_a_rival_has_its_smallest_and_largest_round():
-    took = iter([1.0, 2.0, 6.0])
-    rising = {"a": lambda checkout, processes: lambda: {"case": [next(took)]}, "b": giving(2.0)}
+    durations = iter([1.0, 2.0, 6.0])
+    rising = {"a": lambda checkout, processes: lambda: {"case": [next(durations)]}, "b": giving(2.0)}
     figure = Figure("", rising, rounds=3, ratios=(("a", "b", "0.60x"), ("a", "gone", "1.00x")))
     *_, ratio = rows_of(figure, HERE, silent)
     assert (ratio.measured, ratio.unit, ratio.target) == ("a / b", TIMES, "0.60x")
@@ -202,17 +202,17 @@ def test_contender_failing_in_a_later_round_leaves_the_others():
 
 
 def test_failing_figure_leaves_the_others(bench):
-    status, shown = bench({"lost": None, "second": B})
+    status, output = bench({"lost": None, "second": B})
     assert status == 1
-    assert "lost: ModuleNotFoundError: No module named 'figure_of_lost'" in shown
-    assert "5.00 s" in shown
+    assert "lost: ModuleNotFoundError: No module named 'figure_of_lost'" in output
+    assert "5.00 s" in output
 
 
 def test_only_named_figures_are_run(bench):
-    status, shown = bench({"first": A, "second": B}, "--only", "second")
+    status, output = bench({"first": A, "second": B}, "--only", "second")
     assert status == 0
-    assert "The second" in shown
-    assert "The first" not in shown
+    assert "The second" in output
+    assert "The first" not in output
 
 
 def test_unknown_figure_is_an_error(bench, capsys):
@@ -238,8 +238,8 @@ def test_interrupted_run_is_printed_and_saved(bench, tmp_path, capsys):
 
     file = tmp_path / "rows.json"
     figures = {"first": A, "second": Figure("", {"c": interrupted})}
-    status, shown = bench(figures, "--save", str(file))
-    assert (status, "4.00x" in shown) == (130, True)
+    status, output = bench(figures, "--save", str(file))
+    assert (status, "4.00x" in output) == (130, True)
     assert len(json.loads(file.read_text(encoding="utf-8"))["rows"]) == 2
     assert "interrupted" in capsys.readouterr().err
 

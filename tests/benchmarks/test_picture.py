@@ -17,8 +17,15 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 def row(case, measured, size, *, figure="cats", unit="s", error="", numbers=(1e-3, 2e-3, 4e-3)):
     low, middle, high = numbers
-    told = {"figure": figure, "case": case, "measured": measured, "size": size, "unit": unit, "error": error}
-    return told | {"min": low, "median": middle, "max": high}
+    reported = {
+        "figure": figure,
+        "case": case,
+        "measured": measured,
+        "size": size,
+        "unit": unit,
+        "error": error,
+    }
+    return reported | {"min": low, "median": middle, "max": high}
 
 
 ROWS_OF_CATS = [

@@ -86,11 +86,11 @@ class ProgramMutator:
         quad = list(self.quads[at])
         method = next(m for m in self.methods if m.entry <= at < m.end)
         operands = BY_CODE[quad[0]].operands
-        spots = [i for i, operand in enumerate(operands) if operand.role in "DSVL"]
-        if not spots:
+        positions = [i for i, operand in enumerate(operands) if operand.role in "DSVL"]
+        if not positions:
             return
-        spot = self.rng.choice(spots)
-        quad[1 + spot] = self._other(method, operands[spot].role, quad[1 + spot])
+        position = self.rng.choice(positions)
+        quad[1 + position] = self._other(method, operands[position].role, quad[1 + position])
         self.quads[at] = Quad(*quad)
 
     def _other(self, method: MethodRecord, role: str, number: int) -> int:

@@ -286,9 +286,9 @@ def test_a_handler_cannot_catch_an_agent() -> None:
 def test_an_error_has_the_method_and_the_instruction() -> None:
     draft = Draft()
     draft.put(BOX_SUM, 2, "move", 2, TRUE)
-    with pytest.raises(ProgramFileError) as caught:
+    with pytest.raises(ProgramFileError) as error:
         verify(draft.program())
-    assert (caught.value.method, caught.value.pc) == ("sum", 5)
+    assert (error.value.method, error.value.pc) == ("sum", 5)
 
 
 def test_null_fits_references_and_objects_fit_any() -> None:

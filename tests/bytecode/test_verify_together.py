@@ -331,19 +331,23 @@ def _old(name: str) -> Core:
         msgspec.structs.replace(record, fields=record.fields[:3])
         for record in BUILTIN_RECORDS[:OLDEST_BUILTINS]
     ]
-    made = compile_text("resource R { init(string[] arg) { } }")
-    own = made.core.classes[-1]
-    types = [TypeRecord(t.kind, OLDEST_BUILTINS) if t.kind == 9 else t for t in made.core.types]
+    program = compile_text("resource R { init(string[] arg) { } }")
+    own = program.core.classes[-1]
+    types = [TypeRecord(t.kind, OLDEST_BUILTINS) if t.kind == 9 else t for t in program.core.types]
     del types[EXCEPTIONS]
     kinds = {
-        t: types.index(TypeRecord(9, OLDEST_BUILTINS) if made.core.types[t].kind == 9 else made.core.types[t])
-        for t in made.core.methods[0].slots
+        t: types.index(
+            TypeRecord(9, OLDEST_BUILTINS) if program.core.types[t].kind == 9 else program.core.types[t]
+        )
+        for t in program.core.methods[0].slots
     }
     method: MethodRecord = msgspec.structs.replace(
-        made.core.methods[0], owner=OLDEST_BUILTINS, slots=tuple(kinds[t] for t in made.core.methods[0].slots)
+        program.core.methods[0],
+        owner=OLDEST_BUILTINS,
+        slots=tuple(kinds[t] for t in program.core.methods[0].slots),
     )
     return msgspec.structs.replace(
-        made.core,
+        program.core,
         types=tuple(types),
         classes=(*classes, msgspec.structs.replace(own, name=name)),
         methods=(method,),

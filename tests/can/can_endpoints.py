@@ -30,7 +30,7 @@ class _ExactBus(SocketCanDaemonBus):
 
 def opened(place: dict[str, object], **options: object) -> can.BusABC:
     """Python-can's client at `tcp(...)` or `serial(...)`."""
-    given = {**place, **options}
-    if given.pop("interface") == "socketcand":
-        return _ExactBus(**given)
+    settings = {**place, **options}
+    if settings.pop("interface") == "socketcand":
+        return _ExactBus(**settings)
     return can.Bus(**place, **options)

@@ -89,9 +89,9 @@ def drive(binding: Any) -> Any:
     """A binding of the CiA 402 drive without its endpoint."""
 
     def make(**changes):
-        given = {"limits": {"speed": 20.0}, "waivers": ["no_homing"], "ttl": 1.0, **changes}
-        options = {"protocol": "cia402", "node": 5, "counts": 4096, **given.pop("options", {})}
-        return lambda endpoint: binding("CanAxis", endpoint=endpoint, options=options, **given)
+        settings = {"limits": {"speed": 20.0}, "waivers": ["no_homing"], "ttl": 1.0, **changes}
+        options = {"protocol": "cia402", "node": 5, "counts": 4096, **settings.pop("options", {})}
+        return lambda endpoint: binding("CanAxis", endpoint=endpoint, options=options, **settings)
 
     return make
 
@@ -101,13 +101,15 @@ def odrive(binding: Any) -> Any:
     """A binding of the ODrive without its endpoint."""
 
     def make(**changes):
-        given = {
+        settings = {
             "limits": {"speed": 20.0},
             "waivers": ["no_homing", "device_watchdog"],
             "ttl": 1.0,
             **changes,
         }
         options = {"protocol": "odrive", "node": 3}
-        return lambda endpoint: binding("CanAxis", field="wheel", endpoint=endpoint, options=options, **given)
+        return lambda endpoint: binding(
+            "CanAxis", field="wheel", endpoint=endpoint, options=options, **settings
+        )
 
     return make

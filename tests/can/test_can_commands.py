@@ -39,8 +39,8 @@ OPTIONS = {
 @pytest.fixture
 def steering(binding):
     def make(*, waivers=("device_watchdog",), **options):
-        given = {**OPTIONS, **options}
-        return binding("CanSignals", field="steering", options=given, waivers=list(waivers), ttl=1.0)
+        settings = {**OPTIONS, **options}
+        return binding("CanSignals", field="steering", options=settings, waivers=list(waivers), ttl=1.0)
 
     return make
 
@@ -50,11 +50,11 @@ def play(steering, monkeypatch):
     """Run a scenario with the column behind a guard; `fitted` has the options of another binding, from which
     the simulated device is made."""
 
-    def run(story, *, fitted=None, **options):
+    def run(steps, *, fitted=None, **options):
         desk = Desk()
         fake = desk.fake("can", "--device", spec_of(steering(**(fitted or {}))))
-        made = msgspec.structs.replace(steering(**options), endpoint=fake.endpoint)
-        desk.run(lambda column: story(fake, column), made)
+        changed = msgspec.structs.replace(steering(**options), endpoint=fake.endpoint)
+        desk.run(lambda column: steps(fake, column), changed)
 
     return run
 
@@ -107,7 +107,7 @@ async def test_device_acts_when_the_frames_of_a_silent_host_end(fake, column, /)
     ],
 )
 def test_device_that_rejects_its_commands_is_held_safe(play, wrong, reason):
-    async def story(fake, column):
+    async def steps(fake, column):
         values = [1.0, 0.3] if "safe" not in wrong else [0.0, 1.0, 0.3]
         while not column.latched:
             await column.call("send", "SteeringCommand", values)
@@ -115,7 +115,7 @@ def test_device_that_rejects_its_commands_is_held_safe(play, wrong, reason):
         assert column.latched == f"its commands are not accepted: SteeringStatus.{reason}.0"
         assert await angle(column) == pytest.approx(0.0, abs=0.02)
 
-    play(story, fitted={}, **wrong)
+    play(steps, fitted={}, **wrong)
 
 
 def test_status_with_a_wrong_counter_or_checksum_is_dropped(bench, steering, bus):
@@ -123,7 +123,7 @@ def test_status_with_a_wrong_counter_or_checksum_is_dropped(bench, steering, bus
         rest = bytes([counter, 0, 0, 0, 0, 0, 0])
         return Frame(STATUS, bytes([Crc8GsmA.calc(number.to_bytes(2, "little") + rest)]) + rest)
 
-    async def story(column):
+    async def steps(column):
         short = Frame(STATUS, b"\xff" * 6)
         frames = status(0), status(1), status(1), status(2, 0x2A8), status(15), short, status(4)
         for frame in frames:
@@ -148,11 +148,11 @@ def test_status_with_a_wrong_counter_or_checksum_is_dropped(bench, steering, bus
         bus.received(status(14, number))
 
     b = bench(steering(), bus=bus, fakes=[first])
-    b.run(story)
+    b.run(steps)
     with pytest.raises(
         DeviceError, match=r"its messages are not used \(SteeringStatus: checksum Check is 0x"
     ):
-        bench(steering(), bus=bus, fakes=[lambda: first(0x2A8)]).run(story)
+        bench(steering(), bus=bus, fakes=[lambda: first(0x2A8)]).run(steps)
 
 
 @pytest.mark.parametrize(
@@ -171,11 +171,11 @@ def test_status_with_a_wrong_counter_or_checksum_is_dropped(bench, steering, bus
     ],
 )
 def test_invalid_supervision_option_is_refused(bench, steering, options, words):
-    async def story(column):
+    async def steps(column):
         raise AssertionError("the device must not be opened")
 
     with pytest.raises(DeviceError, match=words):
-        bench(steering(**options)).run(story)
+        bench(steering(**options)).run(steps)
 
 
 def test_cyclic_message_without_a_period_is_refused(bench, steering, tmp_path):
@@ -191,7 +191,7 @@ def test_late_cyclic_frames_are_skipped_and_counted(bench, steering, bus):
 
     clock = LateClock()
 
-    async def story(column):
+    async def steps(column):
         await column.execute("send", ["SteeringCommand", [1.0, 0.1]])
         await asyncio.sleep(0.09)
         before = len(bus.sent)
@@ -204,7 +204,7 @@ def test_late_cyclic_frames_are_skipped_and_counted(bench, steering, bus):
         counters = [frame.data[1] & 0xF for frame in bus.sent]
         assert counters == [count % 15 for count in range(len(counters))]
 
-    run_jumping(b.play(story, clock))
+    run_jumping(b.play(steps, clock))
 
 
 class LateClock(LoopClock):

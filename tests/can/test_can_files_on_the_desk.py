@@ -52,8 +52,8 @@ def test_all_file_errors_are_reported_with_their_places(tmp_path, capsys):
     assert status == exit_status.DATA
     assert [(file, line) for file, line, _ in sorted(found)] == [(file, line) for file, line, _ in places]
     assert main(["build", str(deploy), "-o", str(tmp_path / "m.lfm")]) == exit_status.DATA
-    told = capsys.readouterr().err
-    assert f"{tmp_path / 'pump.dbc'}:5:" in told
+    output = capsys.readouterr().err
+    assert f"{tmp_path / 'pump.dbc'}:5:" in output
     assert not (tmp_path / "m.lfm").exists()
 
 

@@ -13,15 +13,15 @@ from lfield.driver import DeviceError
 from lfield.testing.desk import Desk
 
 
-def play(story, *bindings, devices=(DRIVE,)):
-    """A fake with devices, and the bound ones behind a guard: `story(fake, *members)`."""
+def play(scenario, *bindings, devices=(DRIVE,)):
+    """A fake with devices, and the bound ones behind a guard: `scenario(fake, *members)`."""
     with closing(Desk()) as desk:
-        fake = desk.fake("can", *(word for device in devices for word in ("--device", device)))
-        desk.run(partial(story, fake), *(make(endpoint=fake.endpoint) for make in bindings))
+        fake = desk.fake("can", *(argument for device in devices for argument in ("--device", device)))
+        desk.run(partial(scenario, fake), *(make(endpoint=fake.endpoint) for make in bindings))
 
 
 def test_every_mode_of_a_drive(drive):
-    async def story(fake, axis):
+    async def scenario(fake, axis):
         await axis.call("enable")
         await axis.call("home")
         await axis.reads("referenced", lambda value: value is True)
@@ -34,11 +34,11 @@ def test_every_mode_of_a_drive(drive):
         await axis.call("disable")
 
     both = drive(waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
-    play(story, both)
+    play(scenario, both)
 
 
 def test_cyclic_modes_follow_the_setpoints(drive):
-    async def story(fake, axis):
+    async def scenario(fake, axis):
         await axis.call("enable")
         for _ in range(10):
             await axis.call("setVelocity", 4.0)
@@ -52,7 +52,7 @@ def test_cyclic_modes_follow_the_setpoints(drive):
             await asyncio.sleep(0.05)
         await axis.reads("position", lambda now: abs(now - at - 1.0) < 0.1)
 
-    play(story, drive(options={"cyclic": True}))
+    play(scenario, drive(options={"cyclic": True}))
 
 
 def test_silent_devices_fail_their_motion_and_return(drive, odrive):
@@ -60,25 +60,25 @@ def test_silent_devices_fail_their_motion_and_return(drive, odrive):
 
 
 def test_device_faults_are_described_and_reset(drive, odrive):
-    async def story(fake, axis, wheel):
-        for device, node, words in ((axis, "5", "current"), (wheel, "3", "over-current")):
+    async def scenario(fake, axis, wheel):
+        for device, node, sentence in ((axis, "5", "current"), (wheel, "3", "over-current")):
             await device.call("enable")
             fake.fault(f"overcurrent@{node}=true")
             fault = await device.reads("fault", lambda text: text != "")
-            assert words in fault
+            assert sentence in fault
             with pytest.raises(DeviceError, match=r"resetFault\(\) clears it"):
                 await device.call("setVelocity", 1.0)
             fake.fault(f"overcurrent@{node}=false")
             await device.call("resetFault")
             await device.call("enable")
 
-    play(story, drive(), odrive(), devices=(DRIVE, ODRIVE))
+    play(scenario, drive(), odrive(), devices=(DRIVE, ODRIVE))
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("fault", ["loss=0.05", "corrupt=0.02", "delay@5=0.05", "nonsense@5=0.1"])
 def test_disturbed_bus_gives_delays_or_exceptions_but_no_failure(fault, drive):
-    async def story(fake, axis):
+    async def scenario(fake, axis):
         fake.fault(fault)
         for _ in range(3):
             try:
@@ -91,11 +91,11 @@ def test_disturbed_bus_gives_delays_or_exceptions_but_no_failure(fault, drive):
         await axis.reads("online", lambda value: value is True)
         assert not any("the driver failed" in note for note in axis.notes)
 
-    play(story, drive())
+    play(scenario, drive())
 
 
 def test_drive_returns_stopped_after_bus_off(drive):
-    async def story(fake, axis):
+    async def scenario(fake, axis):
         await axis.call("enable")
         await axis.call("setVelocity", 2.0)
         fake.fault("bus_off=true")
@@ -104,13 +104,13 @@ def test_drive_returns_stopped_after_bus_off(drive):
         await axis.until_note("link restored")
         await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
 
-    play(story, drive())
+    play(scenario, drive())
 
 
 def test_bus_off_fails_the_motion_and_the_drive_stops(drive):
     """The motion fails with the cause, the drive stops by itself, and must be enabled before it moves."""
 
-    async def story(fake, axis):
+    async def scenario(fake, axis):
         await axis.call("enable")
         travel = asyncio.create_task(axis.call("moveTo", 500.0, 5.0))
         await axis.reads("velocity", lambda speed: speed > 4.0)
@@ -131,4 +131,4 @@ def test_bus_off_fails_the_motion_and_the_drive_stops(drive):
         at = await axis.call("position")
         await axis.call("moveTo", at + 0.5, 5.0)
 
-    play(story, drive())
+    play(scenario, drive())

@@ -32,11 +32,11 @@ GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 
 
 @asynccontextmanager
-async def team(door: str, *bindings, devices):
+async def team(address: str, *bindings, devices):
     """A fake with devices, and the bound ones behind a guard, at one of its endpoints."""
-    words = [word for device in devices for word in ("--device", device)]
-    with running_fake("can", *LISTEN, *words) as fake:
-        endpoint = fake.ready_line[DOORS.index(door)]
+    arguments = [argument for device in devices for argument in ("--device", device)]
+    with running_fake("can", *LISTEN, *arguments) as fake:
+        endpoint = fake.ready_line[DOORS.index(address)]
         async with guarded(*(make(endpoint=endpoint) for make in bindings)) as members:
             yield fake, *members
 
@@ -63,10 +63,10 @@ def gripper(binding):
 
 
 @pytest.mark.few(0)
-@pytest.mark.parametrize("door", DOORS)
-async def test_three_devices_on_one_bus(door, drive, odrive, gripper):
+@pytest.mark.parametrize("address", DOORS)
+async def test_three_devices_on_one_bus(address, drive, odrive, gripper):
     devices = (DRIVE, ODRIVE, f"dbc:{GRIPPER}")
-    async with team(door, drive(ttl=TTL), odrive(ttl=TTL), gripper(), devices=devices) as (
+    async with team(address, drive(ttl=TTL), odrive(ttl=TTL), gripper(), devices=devices) as (
         _,
         axis,
         wheel,
@@ -139,9 +139,9 @@ async def test_can_fd_frames_with_profile_5_pass_a_serial_adapter(binding, tmp_p
 
 
 @pytest.mark.few(0)
-@pytest.mark.parametrize("door", DOORS)
-async def test_expired_setpoint_ends_in_the_safe_state(door, drive):
-    async with team(door, drive(ttl=3.0), devices=[DRIVE]) as (_, axis):
+@pytest.mark.parametrize("address", DOORS)
+async def test_expired_setpoint_ends_in_the_safe_state(address, drive):
+    async with team(address, drive(ttl=3.0), devices=[DRIVE]) as (_, axis):
         await axis.call("enable")
         await axis.call("setVelocity", 5.0)
         await axis.reads("velocity", lambda speed: speed > 3.0)
@@ -189,8 +189,8 @@ async def test_killed_guard_returns_with_all_devices_safe(drive, odrive):
 
 
 @pytest.mark.few(0)
-@pytest.mark.parametrize("door", ["slcan"])
-async def test_silent_devices_return_through_a_serial_adapter(door, drive, odrive):
+@pytest.mark.parametrize("address", ["slcan"])
+async def test_silent_devices_return_through_a_serial_adapter(address, drive, odrive):
     """The scenario that test_can_on_desk.py runs on virtual time."""
-    async with team(door, drive(), odrive(), devices=[DRIVE, ODRIVE]) as members:
+    async with team(address, drive(), odrive(), devices=[DRIVE, ODRIVE]) as members:
         await vanish_and_return(*members)

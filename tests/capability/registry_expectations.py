@@ -78,22 +78,24 @@ def _against(registry: Registry, program: Path, mission: Path | None) -> list[Di
 
 def expected(case: Path) -> list[tuple[str, int, str, str, str]]:
     """File, line, severity, code and part of the message, for every expectation of a case."""
-    wanted = []
+    expected_rows = []
     for path in files_of(case):
         for number, line in enumerate(path.read_text(encoding="utf-8").split("\n"), 1):
             match = _EXPECTED.search(line)
             if match:
-                wanted.append((str(path), number, match["severity"], match["code"], match["part"].strip()))
-    return wanted
+                expected_rows.append(
+                    (str(path), number, match["severity"], match["code"], match["part"].strip())
+                )
+    return expected_rows
 
 
 def assert_exactly(case: Path) -> None:
     """The findings are exactly those that the case expects."""
     found = sorted(findings(case), key=lambda d: (d.span.source.name, d.span.line))
-    wanted = expected(case)
+    expected_rows = expected(case)
     drawn = "\n".join(d.render() for d in found)
     assert [(d.span.source.name, d.span.line, d.severity, d.code) for d in found] == [
-        w[:4] for w in wanted
+        w[:4] for w in expected_rows
     ], drawn
-    for diagnostic, (*_, part) in zip(found, wanted, strict=True):
+    for diagnostic, (*_, part) in zip(found, expected_rows, strict=True):
         assert part in diagnostic.message, diagnostic.render()

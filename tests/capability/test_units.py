@@ -91,11 +91,11 @@ def test_conversion_is_reversible(source: str, target: str, amount: float) -> No
 
 @given(st.sampled_from(UNITS), st.sampled_from(UNITS), st.sampled_from(UNITS))
 def test_conversion_by_way_of_a_third_unit(first: str, second: str, third: str) -> None:
-    one, two, whole = conversion(first, second), conversion(second, third), conversion(first, third)
+    one, two, direct = conversion(first, second), conversion(second, third), conversion(first, third)
     if one is None or two is None:
         return
-    assert whole is not None
-    assert math.isclose(one[0] * two[0], whole[0], rel_tol=1e-14)
+    assert direct is not None
+    assert math.isclose(one[0] * two[0], direct[0], rel_tol=1e-14)
 
 
 @given(st.text(max_size=60))

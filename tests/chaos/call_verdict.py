@@ -68,7 +68,7 @@ class CallVerdict:
     @property
     def under_way(self) -> bool:
         """True if every walker has a first stamp."""
-        return self.walkers.keys() <= {who for who, _ in self.served}
+        return self.walkers.keys() <= {agent for agent, _ in self.served}
 
     @property
     def complete(self) -> bool:
@@ -80,8 +80,8 @@ class CallVerdict:
         """Calls that were not served although their caller continued without a report."""
         known = self.served.keys() | self.perhaps
         found = []
-        for who, numbers in self.walkers.items():
-            seen = [number for name, number in known if name == who]
-            end = numbers if who in self.walked else max(seen, default=-1)
-            found += [(who, number) for number in range(end) if (who, number) not in known]
+        for agent, numbers in self.walkers.items():
+            observed = [number for name, number in known if name == agent]
+            end = numbers if agent in self.walked else max(observed, default=-1)
+            found += [(agent, number) for number in range(end) if (agent, number) not in known]
         return found

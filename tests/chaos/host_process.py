@@ -82,8 +82,10 @@ class HostProcess:
         while self._should_run:
             self._note("--- started")
             self._started_at = time.monotonic()
-            words = (sys.executable, "-m", "lfield", *self._command)
-            process = await asyncio.create_subprocess_exec(*words, stdin=DEVNULL, stdout=PIPE, stderr=STDOUT)
+            arguments = (sys.executable, "-m", "lfield", *self._command)
+            process = await asyncio.create_subprocess_exec(
+                *arguments, stdin=DEVNULL, stdout=PIPE, stderr=STDOUT
+            )
             self._process = process
             if not self._should_run:
                 process.kill()

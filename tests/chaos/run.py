@@ -84,17 +84,19 @@ class Round:
     def _host(self, number: int, where: list[str]) -> HostProcess:
         name = f"h{number}"
         state = str(self.disks[number].folder)
-        words = ("up", str(self._bundle), "--host", name, *where, "--state", state, *IMPATIENT)
-        words = (*words, "--keys", self._keys)
+        arguments = ("up", str(self._bundle), "--host", name, *where, "--state", state, *IMPATIENT)
+        arguments = (*arguments, "--keys", self._keys)
         hear = partial(self._on_line, name)
-        return HostProcess(name, words, self._folder / f"{name}.log", hear)
+        return HostProcess(name, arguments, self._folder / f"{name}.log", hear)
 
     def _on_line(self, host: str, line: str) -> None:
         self.verdict.on_line(line, host, time.monotonic())
 
     def _holder(self) -> int:
         """The host of an incomplete walker that can be recovered."""
-        under_way = [who for who in FENCED if who not in self.verdict.walked and who in self.verdict.where]
+        under_way = [
+            agent for agent in FENCED if agent not in self.verdict.walked and agent in self.verdict.where
+        ]
         if not under_way:
             return -1
         where = self.verdict.where[self._rng.choice(under_way)]
@@ -106,10 +108,10 @@ class Round:
         await self._wait_until(lambda: self.verdict.complete, STORM)
         raging.cancel()
         await asyncio.gather(raging, return_exceptions=True)
-        began = time.monotonic()
+        started = time.monotonic()
         await storm.heal()
         await self._wait_until(lambda: self.verdict.complete, BOUND)
-        self.healed_after = time.monotonic() - began
+        self.healed_after = time.monotonic() - started
         self.faults = storm.faults
 
     async def _wait_until(self, is_so: Callable[[], bool], bound: float) -> None:
@@ -121,10 +123,12 @@ class Round:
     def _judge(self, unruly: list[str]) -> None:
         verdict = self.verdict
         missing = sorted(verdict.walkers.keys() - verdict.walked.keys())
-        self.wrong += [f"{who} {number} was served twice" for who, number in verdict.twice]
-        self.wrong += [f"{who} {number} began after a later start of it" for who, number in verdict.outdated]
-        self.wrong += [f"{who} {number} was skipped without a word" for who, number in verdict.skipped]
-        self.wrong += [f"{who} is not complete {BOUND:.0f} s after the last fault" for who in missing]
+        self.wrong += [f"{agent} {number} was served twice" for agent, number in verdict.twice]
+        self.wrong += [
+            f"{agent} {number} began after a later start of it" for agent, number in verdict.outdated
+        ]
+        self.wrong += [f"{agent} {number} was skipped without a word" for agent, number in verdict.skipped]
+        self.wrong += [f"{agent} is not complete {BOUND:.0f} s after the last fault" for agent in missing]
         self.wrong += [f"{host} did not end with 0 when it was told to" for host in unruly]
         self.wrong += ["a traceback of Python"] * verdict.tracebacks
 
@@ -133,8 +137,8 @@ def built(folder: Path) -> Path:
     """The mission of all rounds, as one file."""
     deployment = folder / "walkers.dL"
     rows = [f"//Post:p{number}@h{number}" for number in range(HOSTS)]
-    rows += [f"//Walker:{who}@h{who[1]}?{NUMBERS}" for who in WALKERS]
-    rows += [f"//Fenced:{who}@h{who[1]}?{NUMBERS}" for who in FENCED]
+    rows += [f"//Walker:{agent}@h{agent[1]}?{NUMBERS}" for agent in WALKERS]
+    rows += [f"//Fenced:{agent}@h{agent[1]}?{NUMBERS}" for agent in FENCED]
     deployment.write_text("\n".join(rows) + "\n")
     (folder / "walkers.L").write_text(PROGRAM.read_text())
     command = [sys.executable, "-m", "lfield", "build", str(deployment)]
@@ -146,7 +150,7 @@ def report(rounds: list[Round], folder: Path) -> int:
     """Print the results; returns the exit status."""
     faults = sum((each.faults for each in rounds), Counter())
     calls = sum(each.verdict.served.total() for each in rounds)
-    begun = sum(len(each.verdict.walkers) for each in rounds)
+    walker_count = sum(len(each.verdict.walkers) for each in rounds)
     done = sum(len(each.verdict.walked.keys() & each.verdict.walkers.keys()) for each in rounds)
     hosts = [host for each in rounds for host in each.hosts]
     recoveries = [seconds for host in hosts for seconds in host.recoveries]
@@ -161,7 +165,7 @@ def report(rounds: list[Round], folder: Path) -> int:
     print(f"twice       {sum(len(each.verdict.twice) for each in rounds)}, {repeated} again knowingly")
     print(f"outdated    {sum(len(each.verdict.outdated) for each in rounds)}")
     print(f"skipped     {sum(len(each.verdict.skipped) for each in rounds)} without a word")
-    print(f"complete    {done} of {begun} missions, in {len(rounds)} rounds")
+    print(f"complete    {done} of {walker_count} missions, in {len(rounds)} rounds")
     print(f"after heal  complete within {max(each.healed_after for each in rounds):.1f} s")
     say_times("recovery   ", "by its host, from the start of its process", recoveries)
     elsewhere = [seconds for each in rounds for seconds in each.verdict.recoveries]
@@ -176,8 +180,8 @@ def report(rounds: list[Round], folder: Path) -> int:
 def say_times(title: str, what: str, seconds: Sequence[float]) -> None:
     """Print the number of durations, their median and their maximum."""
     if seconds:
-        told = f"median {statistics.median(seconds):.2f} s, at most {max(seconds):.2f} s"
-        print(f"{title} {len(seconds)} {what}: {told}")
+        latency = f"median {statistics.median(seconds):.2f} s, at most {max(seconds):.2f} s"
+        print(f"{title} {len(seconds)} {what}: {latency}")
 
 
 async def rounds_for(seconds: float, seed: int, folder: Path, *, over_zenoh: bool) -> list[Round]:

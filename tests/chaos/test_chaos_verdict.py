@@ -43,12 +43,12 @@ def test_repeated_call_after_a_restart_is_a_breach():
 
 
 def test_call_behind_a_recovered_state_may_be_repeated_once():
-    told = ("stamped w0 0 0", "stamped w0 0 1", f"w0: perhaps 0 7 {RECOVERED}", "stamped w0 7 1")
-    verdict = verdict_of(*told)
+    lines = ("stamped w0 0 0", "stamped w0 0 1", f"w0: perhaps 0 7 {RECOVERED}", "stamped w0 7 1")
+    verdict = verdict_of(*lines)
     assert (verdict.repeated, verdict.recoveries, verdict.where) == (1, [1.0], {"w0": "h0"})
     assert wrong(verdict) == ([], [], [])
-    assert verdict_of(*told, "stamped w0 7 1").twice == [("w0", 1)]
-    assert verdict_of(*told, "stamped w0 7 0").twice == [("w0", 0)]
+    assert verdict_of(*lines, "stamped w0 7 1").twice == [("w0", 1)]
+    assert verdict_of(*lines, "stamped w0 7 0").twice == [("w0", 0)]
 
 
 def test_call_of_a_walker_recovered_elsewhere_is_outdated():

@@ -26,7 +26,7 @@ from lfield.testing.keyring import Keyring
 
 ROOT = Path(__file__).parents[2]
 #: Seconds for events that depend on the load of the computer.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 #: The environment variable that marks the processes of a test and their children.
 MARK = "LFIELD_TEST_RUN"
 #: The flag of an exiting process in /proc/PID/stat (include/linux/sched.h).
@@ -36,7 +36,7 @@ PF_EXITING = 0x4
 class Process:
     """A running command; its lines are stored as they arrive, by stream."""
 
-    def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
+    def __init__(self, *arguments: str, mark: str, stdin: bool = False, **options) -> None:
         # Runs of hosts that a test starts are recorded in the folder of the test.
         state = str(options.get("cwd", tempfile.gettempdir()))
         own = {"XDG_STATE_HOME": state, "XDG_CONFIG_HOME": f"{state}/config", MARK: mark}
@@ -50,7 +50,7 @@ class Process:
         options.setdefault("stdout", subprocess.PIPE)
         options.setdefault("stderr", subprocess.PIPE)
         self.popen = subprocess.Popen(
-            [sys.executable, "-m", "lfield", *map(str, words)],
+            [sys.executable, "-m", "lfield", *map(str, arguments)],
             env=environment,
             stdin=subprocess.PIPE if stdin else subprocess.DEVNULL,
             start_new_session=True,
@@ -89,18 +89,18 @@ class Process:
             return bool(found) or not any(reader.is_alive() for reader in self._readers)
 
         with self._changed:
-            self._changed.wait_for(seen, PATIENCE)
+            self._changed.wait_for(seen, TIMEOUT)
         assert found, f"nothing like {pattern!r} in\n{self.said}"
         return found[0]
 
     def wait(self) -> int:
         """Wait for the end and read all lines; returns the exit status."""
         try:
-            status = self.popen.wait(PATIENCE)
+            status = self.popen.wait(TIMEOUT)
         except subprocess.TimeoutExpired:
             pytest.fail(f"it does not end; it said\n{self.said}")
         for reader in self._readers:
-            reader.join(PATIENCE)
+            reader.join(TIMEOUT)
         assert "Traceback" not in self.said, self.said
         return status
 
@@ -190,15 +190,15 @@ class Lfield:
         """The variables that mark a process and its children as part of this test."""
         return {**os.environ, "XDG_CONFIG_HOME": f"{self.folder}/config", MARK: self.mark}
 
-    def start(self, *words: object, **options) -> Process:
+    def start(self, *arguments: object, **options) -> Process:
         """Start a command without waiting for its end."""
-        process = Process(*map(str, words), mark=self.mark, cwd=self.folder, **options)
+        process = Process(*map(str, arguments), mark=self.mark, cwd=self.folder, **options)
         self.started.append(process)
         return process
 
-    def __call__(self, *words: object, status: int | None = None, **options) -> Process:
+    def __call__(self, *arguments: object, status: int | None = None, **options) -> Process:
         """Run a command to its end; asserts the exit status if one is given."""
-        process = self.start(*words, **options)
+        process = self.start(*arguments, **options)
         ended = process.wait()
         assert status in (None, ended), f"exit status {ended}\n{process.said}"
         return process
@@ -221,14 +221,14 @@ class Lfield:
 
     def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
         """Start one process for each host, on its own port, without waiting."""
-        words = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
-        return {name: self.start(*words, "--host", name, **more) for name in names}
+        arguments = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
+        return {name: self.start(*arguments, "--host", name, **more) for name in names}
 
     def maps(self, names: list[str]) -> list[str]:
         """`--map` options with free ports of this computer for the hosts, which get keys for their links."""
         self.keys.give(*names)
         pairs = zip(names, self.ports.take(len(names)), strict=True)
-        return [word for name, port in pairs for word in ("--map", f"{name}=127.0.0.1:{port}")]
+        return [argument for name, port in pairs for argument in ("--map", f"{name}=127.0.0.1:{port}")]
 
     def left(self) -> list[int]:
         return processes_of(self.mark)
@@ -254,7 +254,7 @@ class Lfield:
 
     def all_ended(self) -> bool:
         """Return true if all processes end within the time limit and their files are closed."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while (self.left() or any(map(is_exiting, all_processes()))) and time.monotonic() < end:
             time.sleep(0.05)
         return not self.left()
@@ -266,11 +266,11 @@ class Lfield:
             except ProcessLookupError:
                 continue
         for process in self.started:
-            process.popen.wait(PATIENCE)
+            process.popen.wait(TIMEOUT)
             if process.popen.stdin:
                 process.popen.stdin.close()
             for reader in process._readers:
-                reader.join(PATIENCE)
+                reader.join(TIMEOUT)
 
 
 @dataclass(frozen=True)
@@ -311,11 +311,11 @@ def here(
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
     builds_here.use(monkeypatch)
 
-    def run(*words: object, status: int | None = None, env: Mapping[str, str] | None = None) -> Said:
+    def run(*arguments: object, status: int | None = None, env: Mapping[str, str] | None = None) -> Said:
         with pytest.MonkeyPatch.context() as patch:
             for name, value in (env or {}).items():
                 patch.setenv(name, value)
-            ended = main([str(word) for word in words])
+            ended = main([str(word) for word in arguments])
         output = capfd.readouterr()
         assert "a bug in lfield" not in output.err
         assert status in (None, ended), f"exit status {ended}\n{output.out}\n{output.err}"

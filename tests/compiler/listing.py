@@ -44,6 +44,6 @@ def instructions(program: Program, name: str = "R.init") -> list[str]:
 
 def code(body: str, members: str = "") -> list[str]:
     """The instructions of an init with these statements, without the closing `rtn`."""
-    made = instructions(compiled_body(body, members))
-    assert made[-1] == "rtn"
-    return made[:-1]
+    lines = instructions(compiled_body(body, members))
+    assert lines[-1] == "rtn"
+    return lines[:-1]

@@ -59,10 +59,10 @@ def test_device_fields_keep_their_order_and_device_names() -> None:
 
 
 def test_each_called_device_instruction_has_one_record() -> None:
-    made = program()
-    arm = made.class_index["Arm"]
-    (reals,) = [i for i, record in enumerate(made.core.types) if record.kind == 8 and record.of == REAL]
-    assert made.core.device_calls == (
+    compiled = program()
+    arm = compiled.class_index["Arm"]
+    (reals,) = [i for i, record in enumerate(compiled.core.types) if record.kind == 8 and record.of == REAL]
+    assert compiled.core.device_calls == (
         DeviceCallRecord(arm, "left", "Gripper", "close", (REAL,), VOID, "idempotent"),
         DeviceCallRecord(arm, "left", "Gripper", "width", (), REAL, "query"),
         DeviceCallRecord(arm, "right", "Gripper", "width", (), REAL, "query"),

@@ -16,9 +16,9 @@ def handlers(program: Program, name: str = "R.init") -> list[tuple[int, int, int
     record = method(program, name)
 
     def row(handler: Handler) -> tuple[int, int, int, str]:
-        caught = program.core.classes[handler.catches].name
+        exception_class = program.core.classes[handler.catches].name
         at = record.entry
-        return handler.start - at, handler.end - at, handler.target - at, caught
+        return handler.start - at, handler.end - at, handler.target - at, exception_class
 
     return [row(handler) for handler in record.handlers]
 
@@ -214,9 +214,9 @@ def test_the_digest_does_not_depend_on_the_source_path() -> None:
 
 def test_too_many_variables_are_an_error_of_their_method() -> None:
     variables = "".join(f"int v{i} = {i};" for i in range(4200))
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         compiled_body("", f"private void f() {{ {variables} }} private void g() {{ {variables} }}")
-    found = caught.value.diagnostics
+    found = error.value.diagnostics
     assert [d.code for d in found] == ["L499", "L499"]
     assert found[0].message == "f() needs more than 4096 variables and intermediate values"
 

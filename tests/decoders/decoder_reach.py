@@ -116,10 +116,8 @@ def unreached(target: Target, functions: Sequence[object]) -> set[str]:
     def call(frame: FrameType, event: str, argument: object) -> Any:
         return line if frame.f_code in codes else None
 
-    known, dice = [*target.good, *corpus_of(target.name)], random.Random(target.name)
-    made = (
-        mutated(target, dice.choice(known), dice, dice.choice(known)) for _ in range(INPUTS // target.share)
-    )
+    known, rng = [*target.good, *corpus_of(target.name)], random.Random(target.name)
+    made = (mutated(target, rng.choice(known), rng, rng.choice(known)) for _ in range(INPUTS // target.share))
     before = sys.gettrace()
     sys.settrace(call)
     try:

@@ -61,21 +61,21 @@ def all_of_them(options: argparse.Namespace) -> int:
     from decoder_targets import TARGETS
 
     names = options.only.split(",") if options.only else list(TARGETS)
-    broken, began, total = [], time.monotonic(), 0
+    broken, started, total = [], time.monotonic(), 0
     for name in names:
         count = max(1, options.count // TARGETS[name].share)
-        words = ["--inside", name, "--count", str(count), "--seed", str(options.seed)]
+        arguments = ["--inside", name, "--count", str(count), "--seed", str(options.seed)]
         total += count
         if options.guided:
-            crashed = hunt(name, words)
+            crashed = hunt(name, arguments)
         else:
-            crashed = subprocess.run([sys.executable, __file__, *words]).returncode
+            crashed = subprocess.run([sys.executable, __file__, *arguments]).returncode
         if crashed:
             broken.append(name)
-    took = time.monotonic() - began
+    elapsed = time.monotonic() - started
     crashes = f"crashes in {', '.join(broken)}" if broken else "0 crashes"
-    told = f"{len(names)} decoders, {total:,} inputs, seed {options.seed}"
-    print(f"{told}: {crashes} ({took:.0f} s)")
+    summary = f"{len(names)} decoders, {total:,} inputs, seed {options.seed}"
+    print(f"{summary}: {crashes} ({elapsed:.0f} s)")
     return 1 if broken else 0
 
 
@@ -85,17 +85,17 @@ def fuzz(name: str, count: int, seed: int) -> int:
     from decoder_target import bounded
     from decoder_targets import TARGETS
 
-    target, dice = TARGETS[name], random.Random(f"{name} {seed}")
+    target, rng = TARGETS[name], random.Random(f"{name} {seed}")
     known = [*target.good, *corpus_of(name)]
     for data in known:
         target.decode(data)
     limit_memory()
     crashes: set[str] = set()
-    began, slowest = time.process_time(), 0.0
+    started, slowest = time.process_time(), 0.0
     done = 0
     while done < count:
         done += 1
-        data = mutated(target, dice.choice(known), dice, dice.choice(known))
+        data = mutated(target, rng.choice(known), rng, rng.choice(known))
         before = time.process_time()
         try:
             with bounded():
@@ -107,9 +107,9 @@ def fuzz(name: str, count: int, seed: int) -> int:
             if len(crashes) >= MOST:
                 break
         slowest = max(slowest, time.process_time() - before)
-    took = time.process_time() - began
-    told = f"{len(crashes)} crashes  {took:7.1f} s  slowest {slowest * 1e3:.0f} ms"
-    print(f"{name:14} {done:9,} inputs  {told}", flush=True)
+    elapsed = time.process_time() - started
+    summary = f"{len(crashes)} crashes  {elapsed:7.1f} s  slowest {slowest * 1e3:.0f} ms"
+    print(f"{name:14} {done:9,} inputs  {summary}", flush=True)
     return 1 if crashes else 0
 
 
@@ -184,8 +184,8 @@ def guided(name: str, count: int, seed: int, folder: str) -> None:
             report_crash(name, data, error, crashes)
 
     def mutate(data: bytes, most: int, number: int) -> bytes:
-        dice = random.Random(number)
-        return mutated(target, data, dice, dice.choice(good))[:most]
+        rng = random.Random(number)
+        return mutated(target, data, rng, rng.choice(good))[:most]
 
     flags = [
         f"-runs={count}",

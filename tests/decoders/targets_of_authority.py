@@ -106,8 +106,12 @@ def team() -> Made:
 
 def signature_of_a_bundle() -> bytes:
     """The signature of a person on a bundle; equal keys give an equal signature."""
-    made = team()
-    return sign_bundle(DIGEST, Keys("person", made.authority, made.person, made.person_key), NOT_BEFORE + 1.0)
+    keys_of_team = team()
+    return sign_bundle(
+        DIGEST,
+        Keys("person", keys_of_team.authority, keys_of_team.person, keys_of_team.person_key),
+        NOT_BEFORE + 1.0,
+    )
 
 
 @cache
@@ -124,19 +128,19 @@ def resigned(body: bytes) -> bytes:
 
 def decode_certificate(data: bytes) -> None:
     """Decode a certificate with any content and a valid signature; then the unchanged bytes."""
-    for shown in (resigned(data), data):
+    for certificate in (resigned(data), data):
         with suppress(KeysError):
-            who = identity_in_der(shown, team().authority)
-            verify_peer(who, at=NOT_BEFORE + 1.0, authority=fingerprint_in(team().authority))
-            assert len(who.name) <= MAX_NAME
-            sorted_rights(who.may)
+            identity = identity_in_der(certificate, team().authority)
+            verify_peer(identity, at=NOT_BEFORE + 1.0, authority=fingerprint_in(team().authority))
+            assert len(identity.name) <= MAX_NAME
+            sorted_rights(identity.may)
 
 
 def decode_list(data: bytes) -> None:
     """Decode a revocation list with a valid signature; then the unchanged bytes."""
-    for shown in (resigned(data), data):
+    for certificate in (resigned(data), data):
         with suppress(KeysError):
-            revoked_in(shown, team().authority)
+            revoked_in(certificate, team().authority)
 
 
 def decode_pem(data: bytes) -> None:
@@ -154,9 +158,9 @@ def decode_names(data: bytes) -> None:
     with suppress(msgspec.MsgspecError, ValueError, RecursionError):
         tree = unpack(data)
         if isinstance(tree, dict):
-            who = identity_of(tree)
-            assert who.kind in ("anonymous", "host", "person")
-            str(who)
+            identity = identity_of(tree)
+            assert identity.kind in ("anonymous", "host", "person")
+            str(identity)
 
 
 def decode_signature(data: bytes) -> None:
@@ -182,12 +186,12 @@ def _tls() -> TlsIdentity:
 
 def decode_access_file(data: bytes) -> None:
     """Decode an access file."""
-    path, made = Path(gettempdir()) / "lfield-fuzz.access.yaml", mission()
+    path, keys_of_team = Path(gettempdir()) / "lfield-fuzz.access.yaml", mission()
     path.write_bytes(data)
     try:
-        registry = made.registry
+        registry = keys_of_team.registry
         assert registry is not None
-        access = read_access(path, made.team.members, made.program, lambda: registry)
+        access = read_access(path, keys_of_team.team.members, keys_of_team.program, lambda: registry)
         assert decode_access(encode_access(access)) == access
     except ProgramError as error:
         for finding in error.diagnostics:
@@ -197,8 +201,11 @@ def decode_access_file(data: bytes) -> None:
 
 
 def _certificates() -> list[bytes]:
-    made = team()
-    return [certificate_in(pem).tbs_certificate_bytes for pem in (made.host, made.person, made.authority)]
+    keys_of_team = team()
+    return [
+        certificate_in(pem).tbs_certificate_bytes
+        for pem in (keys_of_team.host, keys_of_team.person, keys_of_team.authority)
+    ]
 
 
 def _lists() -> list[bytes]:
@@ -225,8 +232,13 @@ def _handshakes() -> list[bytes]:
 
 
 def _pems() -> list[bytes]:
-    made = team()
-    return [made.host, made.host_key, made.host + b"\n" + made.host_key, made.authority]
+    keys_of_team = team()
+    return [
+        keys_of_team.host,
+        keys_of_team.host_key,
+        keys_of_team.host + b"\n" + keys_of_team.host_key,
+        keys_of_team.authority,
+    ]
 
 
 _URIS = (
@@ -265,9 +277,11 @@ ID, EPOCHS = bytes(range(16)), Epochs(b"hold hol", b"end end ")
 @cache
 def signers() -> tuple[OrderSigner, OrderSigner]:
     """A person and a host."""
-    made = team()
-    person = Keys("person", made.authority, made.person, made.person_key)
-    return OrderSigner(person), OrderSigner(Keys("host", made.authority, made.host, made.host_key))
+    keys_of_team = team()
+    person = Keys("person", keys_of_team.authority, keys_of_team.person, keys_of_team.person_key)
+    return OrderSigner(person), OrderSigner(
+        Keys("host", keys_of_team.authority, keys_of_team.host, keys_of_team.host_key)
+    )
 
 
 def decode_order_datagram(data: bytes) -> None:

@@ -148,11 +148,11 @@ class FalseDataFilter:
         return [self._seal(bytes(changed))]
 
 
-def play(bench: Any, calls: list[tuple[str, list[Any]]], patience: float = 400.0) -> None:
+def play(bench: Any, calls: list[tuple[str, list[Any]]], timeout: float = 400.0) -> None:
     """Call a device as a program does: each call is completed, or fails with a DeviceError."""
     raised: list[dict[str, Any]] = []
 
-    async def story(device: Any) -> None:
+    async def scenario(device: Any) -> None:
         asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
         # A guard ends if its devices are not opened.
         await device.open()
@@ -167,7 +167,7 @@ def play(bench: Any, calls: list[tuple[str, list[Any]]], patience: float = 400.0
         await asyncio.sleep(1.0)
 
     with suppress(DeviceError, TimeoutError):
-        bench.run(story, opened=False, within=patience)
+        bench.run(scenario, opened=False, within=timeout)
     for context in raised:
         if "exception" in context and not isinstance(context["exception"], DeviceError):
             raise context["exception"]
@@ -244,9 +244,9 @@ def decode_false_drive_data(data: bytes) -> None:
 
 
 def _axis(options: dict[str, Any]) -> DeviceBinding:
-    given = {"limits": {"speed": 20.0}, "waivers": ["no_homing", "device_watchdog"], "ttl": 1.0}
+    settings = {"limits": {"speed": 20.0}, "waivers": ["no_homing", "device_watchdog"], "ttl": 1.0}
     return bind(
-        CAN, "CanAxis", agent="winch", field="axis", endpoint="virtual:test", options=options, **given
+        CAN, "CanAxis", agent="winch", field="axis", endpoint="virtual:test", options=options, **settings
     )
 
 

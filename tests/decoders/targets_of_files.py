@@ -75,15 +75,23 @@ def decode_bundle(data: bytes) -> None:
     table = pack(rows)
     head = struct.pack("<4sHHI32s", b"LFMB", bundle.VERSION, 0, len(table), hashlib.sha256(table).digest())
     try:
-        made = bundle.decode(head + table + b"".join(parts))
+        decoded = bundle.decode(head + table + b"".join(parts))
     except LfieldError as error:
         str(error)
         return
-    clock, name = ManualClock(), made.team.hosts[0]
-    neighbours = Overlay(made.team.hosts, 0, is_full_mesh=made.registry is not None)
+    clock, name = ManualClock(), decoded.team.hosts[0]
+    neighbours = Overlay(decoded.team.hosts, 0, is_full_mesh=decoded.registry is not None)
     core = HostCore(
         HostContext(
-            made, name, 7, clock, NoObservations(), random.Random(1), 10.0, neighbours, EventRecorder(clock)
+            decoded,
+            name,
+            7,
+            clock,
+            NoObservations(),
+            random.Random(1),
+            10.0,
+            neighbours,
+            EventRecorder(clock),
         )
     )
     core.start_resources(first=True)
@@ -93,7 +101,7 @@ def decode_bundle(data: bytes) -> None:
         assert_no_bug_in_lfield(core.drain_effects())
         clock.advance(pause or 0.0)
     core.hello()
-    bundle.encode(made)
+    bundle.encode(decoded)
 
 
 def decode_bundle_bytes(data: bytes) -> None:
@@ -230,9 +238,9 @@ def decode_bindings(data: bytes) -> None:
     """Decode a devices file."""
     path = FOLDER / "mission.devices.yaml"
     path.write_bytes(data)
-    made = mission()
+    loaded = mission()
     try:
-        read_bindings(path, needed_devices(made.program, made.team), discover(), hosts=made.team.hosts)
+        read_bindings(path, needed_devices(loaded.program, loaded.team), discover(), hosts=loaded.team.hosts)
     except LfieldError as error:
         str(error)
 
@@ -311,8 +319,8 @@ def _journals() -> list[bytes]:
         fresh = path.read_bytes()
         journal._commit([([page], ()) for page in _pages()[:6]])
         log, database = path.with_name("host.journal-wal").read_bytes(), path.read_bytes()
-    whole = path.read_bytes()
-    return [len(d).to_bytes(4, "big") + d + w for d, w in ((fresh, b""), (database, log), (whole, b""))]
+    content = path.read_bytes()
+    return [len(d).to_bytes(4, "big") + d + w for d, w in ((fresh, b""), (database, log), (content, b""))]
 
 
 _QUESTIONS = (

@@ -253,16 +253,16 @@ def _host_seeds() -> list[bytes]:
         m.GuardCall(4, "a.x", "release", [], 1000.3, 1009.0),
         m.Stop("end"),
     ]
-    whole = [_kind(opened), *map(_kind, said)]
-    return [pack(whole), *(pack([whole[0], whole[1], each]) for each in whole)]
+    records = [_kind(opened), *map(_kind, said)]
+    return [pack(records), *(pack([records[0], records[1], each]) for each in records)]
 
 
 def _guard_seeds() -> list[bytes]:
     m = messages
-    seen = {"where": Observation(1.0, 1000.1), "on": Observation(True, 1000.1)}
+    observations = {"where": Observation(1.0, 1000.1), "on": Observation(True, 1000.1)}
     said = [
         m.DevicesOpened({"a.x": "a thing"}),
-        m.TelemetrySnapshot("a.x", seen, 1000.1),
+        m.TelemetrySnapshot("a.x", observations, 1000.1),
         m.CallDone(1, None),
         m.CallDone(2, 7),
         m.Refused(3, "DeviceException", "no"),

@@ -72,11 +72,11 @@ class NoObservations:
 
 def host(name: str, clock: ManualClock, life: int) -> HostCore:
     """A started host of the mission with its resources and coordinators."""
-    made = mission()
-    neighbours = Overlay(made.team.hosts, made.team.number(name), is_full_mesh=True)
+    loaded = mission()
+    neighbours = Overlay(loaded.team.hosts, loaded.team.number(name), is_full_mesh=True)
     core = HostCore(
         HostContext(
-            made,
+            loaded,
             name,
             life,
             clock,
@@ -149,9 +149,9 @@ def decode_hello(data: bytes) -> None:
 @cache
 def handshake_with(role: Role) -> Handshake:
     """A completed handshake with bravo in this role."""
-    made = Handshake(hello_of("alpha"), BRAVO, hosts=HOSTS)
-    made.receive(msgspec.structs.replace(hello_of("bravo"), role=role))
-    return made
+    handshake = Handshake(hello_of("alpha"), BRAVO, hosts=HOSTS)
+    handshake.receive(msgspec.structs.replace(hello_of("bravo"), role=role))
+    return handshake
 
 
 def decode_transfer(data: bytes) -> None:
@@ -411,12 +411,12 @@ def _event_seeds() -> Sequence[bytes]:
     hello = [0, unpack(pack(hello_of("bravo")))]
     header, block = transfers()[0]
     arrival = [2, [unpack(pack(header)), block]]
-    told = [[1, message] for message in messages()]
-    quiet = [pack([event]) for event in told] + [pack([event, [4, 0.5], event]) for event in told]
-    busy = [pack([arrival, event, [4, 11.0], hello]) for event in told]
+    events = [[1, message] for message in messages()]
+    quiet = [pack([event]) for event in events] + [pack([event, [4, 0.5], event]) for event in events]
+    busy = [pack([arrival, event, [4, 11.0], hello]) for event in events]
     people = [pack([[7, message], [4, 1.0]]) for message in messages()]
     rest = pack([hello, [6, arrival[1][0]], [3, 0], [4, 30.0], hello])
-    return [*quiet, *busy, *people, rest, pack([hello, *told])]
+    return [*quiet, *busy, *people, rest, pack([hello, *events])]
 
 
 @cache
@@ -455,17 +455,17 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
 def _deltas() -> Sequence[bytes]:
     """Deltas of the same hop, a changed and a long one, one with an unknown reference, and damaged ones."""
     (header, block), *_ = transfers()
-    whole = codec.encode_transfer(header, block)[HEADER_SIZE:] + block
+    encoded = codec.encode_transfer(header, block)[HEADER_SIZE:] + block
     frames = []
     for changed in (block, block[:-1] + b"?", bytes(6000)):
         history = TransferHistory()
-        history.keep(header.agent, whole, is_sent=False)
+        history.keep(header.agent, encoded, is_sent=False)
         named = msgspec.structs.replace(header, size=len(changed))
         sent = codec.encode_transfer(named, changed)[HEADER_SIZE:] + changed
         frames.append(history.encode(header.agent, frame(codec.TRANSFER, sent), is_fast=False))
     other = TransferHistory()
     other.keep(header.agent, block, is_sent=False)
-    frames.append(other.encode(header.agent, frame(codec.TRANSFER, whole), is_fast=False))
+    frames.append(other.encode(header.agent, frame(codec.TRANSFER, encoded), is_fast=False))
     return [*frames, frame(codec.TRANSFER_DELTA, frames[0][HEADER_SIZE:-3]), frame(codec.TRANSFER_DELTA, b"")]
 
 
@@ -474,14 +474,14 @@ def _stream_seeds() -> Sequence[bytes]:
     observer = codec.encode(msgspec.structs.replace(hello_of("bravo"), role="observer"))
     sent = {kind: [frame(kind, payload) for payload in all_of] for kind, all_of in payloads().items()}
     alone = [each for all_of in sent.values() for each in all_of[:3]]
-    whole = [before + each for before in (b"", hello, observer) for each in alone]
+    streams = [before + each for before in (b"", hello, observer) for each in alone]
     everything = b"".join(each for all_of in sent.values() for each in all_of)
     large = codec.encode_transfer(transfers()[0][0], bytes(6000)) + bytes(6000)
-    nobody = frame(max(sent) + 1, b"")
+    unknown_kind = frame(max(sent) + 1, b"")
     hop = sent[codec.TRANSFER][0]
-    whole += [hello + hop + delta for delta in sent[codec.TRANSFER_DELTA]]
-    whole += [hello, hello + everything, hello + nobody, nobody[:-1]]
-    pieces = [bytes([size]) + data for data in whole for size in (HEADER_SIZE, 250)]
+    streams += [hello + hop + delta for delta in sent[codec.TRANSFER_DELTA]]
+    streams += [hello, hello + everything, hello + unknown_kind, unknown_kind[:-1]]
+    pieces = [bytes([size]) + data for data in streams for size in (HEADER_SIZE, 250)]
     return [*pieces, bytes([250]) + hello + large + hello, bytes([250]) + observer + large, b"\0" + hello]
 
 
@@ -504,11 +504,11 @@ def _control_seeds() -> Sequence[bytes]:
 
 def _transfer_seeds() -> Sequence[bytes]:
     heads = [(pack(header), block) for header, block in transfers()[:3]]
-    whole = [bytes([len(head)]) + head + block for head, block in heads]
-    short = [*(each[:-1] for each in whole[:1]), b"\xff\xff"]
-    wrong = [bytes([how]) + each for how in (OF_BLOCK, OF_HEADER, AS_IT_IS) for each in whole[:1]]
+    blocks = [bytes([len(head)]) + head + block for head, block in heads]
+    short = [*(each[:-1] for each in blocks[:1]), b"\xff\xff"]
+    wrong = [bytes([how]) + each for how in (OF_BLOCK, OF_HEADER, AS_IT_IS) for each in blocks[:1]]
     return [
-        *(b"\0" + each for each in (*whole, *short)),
+        *(b"\0" + each for each in (*blocks, *short)),
         *wrong,
         bytes([AS_IT_IS]) + payloads()[codec.TRANSFER][0],
         bytes([AS_IT_IS]) + bytes(8) + b"\xff" * 900,

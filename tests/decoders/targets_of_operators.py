@@ -46,14 +46,14 @@ def decode_statuses(data: bytes) -> None:
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return
     answers: dict[str, Any] = {}
-    for number, said in enumerate(tree[:3] if isinstance(tree, list) else ()):
+    for number, part in enumerate(tree[:3] if isinstance(tree, list) else ()):
         try:
-            told = codec.decode(codec.CONTROL, sealed(pack(said)))
+            decoded = codec.decode(codec.CONTROL, sealed(pack(part)))
         except WireError as error:
             answers[f"host{number}"] = error
             continue
-        if isinstance(told, EventBatch):
-            answers[f"host{number}"] = told
+        if isinstance(decoded, EventBatch):
+            answers[f"host{number}"] = decoded
     _shown(host_states(answers))
 
 
@@ -78,13 +78,13 @@ def decode_batches(data: bytes) -> None:
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return
     watching = _Views()
-    for number, said in enumerate(tree[:6] if isinstance(tree, list) else ()):
+    for number, part in enumerate(tree[:6] if isinstance(tree, list) else ()):
         try:
-            told = codec.decode(codec.CONTROL, sealed(pack(said)))
+            decoded = codec.decode(codec.CONTROL, sealed(pack(part)))
         except WireError:
             continue
-        if isinstance(told, EventBatch):
-            watching.decode(f"host{number % 2}", told, 100.0 + number)
+        if isinstance(decoded, EventBatch):
+            watching.decode(f"host{number % 2}", decoded, 100.0 + number)
     watching.poll()
 
 
@@ -114,10 +114,10 @@ class _Views:
             console.print(team_state_view.table(self._picture.snapshot(now)))
             _require_plain(text.getvalue())
         assert self._picture.curves(110.0) is not None
-        for told in self._timeline.drain_events():
-            lines = [event_view.event_line(told), event_json(told), *self._table.rows(told)]
-            for line in self._log.lines(told):
-                lines += [event_view.log_text(told, line), event_view.log_json(told, line)]
+        for event in self._timeline.drain_events():
+            lines = [event_view.event_line(event), event_json(event), *self._table.rows(event)]
+            for line in self._log.lines(event):
+                lines += [event_view.log_text(event, line), event_view.log_json(event, line)]
             for line in lines:
                 _require_plain(line)
 

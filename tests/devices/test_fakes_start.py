@@ -147,9 +147,9 @@ def lfield_here(tmp_path: Path):
     """`lfield_here(*words)` runs a command and returns its exit status and its output."""
     import subprocess
 
-    def run(*words: str) -> tuple[int, str]:
+    def run(*arguments: str) -> tuple[int, str]:
         done = subprocess.run(
-            [sys.executable, "-m", "lfield", *words], cwd=tmp_path, stdin=subprocess.DEVNULL,
+            [sys.executable, "-m", "lfield", *arguments], cwd=tmp_path, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
         )  # fmt: skip
         return done.returncode, done.stdout

@@ -85,7 +85,7 @@ def test_guard_restart_is_delayed_only_after_a_short_run(monkeypatch):
             KNOWN, [BINDING], clock, lambda text: None, JitterMonitor(JitterLimit(1.0)), lambda: True
         )
 
-        async def start(protocol, *words):
+        async def start(protocol, *arguments):
             started.append(clock.monotonic())
             pipe = SimpleNamespace(is_closing=lambda: False, write=lambda data: None)
             process = SimpleNamespace(
@@ -115,7 +115,7 @@ def test_process_that_ends_after_a_cancelled_start_causes_no_unhandled_exception
             KNOWN, [BINDING], LoopClock(), lambda text: None, JitterMonitor(JitterLimit(1.0)), lambda: True
         )
 
-        async def start(protocol, *words):
+        async def start(protocol, *arguments):
             process = SimpleNamespace(
                 get_pipe_transport=lambda fd: None, get_returncode=lambda: -9, close=lambda: None
             )
@@ -146,7 +146,7 @@ def test_stop_during_a_guard_restart_is_sent_after_open_devices(monkeypatch):
         )
         starts, started, may_return = 0, asyncio.Event(), asyncio.Event()
 
-        async def start(protocol, *words):
+        async def start(protocol, *arguments):
             nonlocal starts
             starts += 1
             reader, messages = MessageReader(), []

@@ -40,10 +40,10 @@ def test_maximum_delay_by_silence_and_priority(silence, late, accepted, prompt):
 
 @given(st.floats(0.0, 20.0), st.booleans())
 def test_shortest_silence_is_sufficient_and_minimal(late, prompt):
-    kept = JitterLimit(SILENCE, prompt).shortest_silence(late)
-    assert kept >= 0.1
-    assert late <= JitterLimit(kept, prompt).max_jitter + 1e-6
-    assert kept == 0.1 or late > JitterLimit(kept - 0.1, prompt).max_jitter - 1e-6
+    silence = JitterLimit(SILENCE, prompt).shortest_silence(late)
+    assert silence >= 0.1
+    assert late <= JitterLimit(silence, prompt).max_jitter + 1e-6
+    assert silence == 0.1 or late > JitterLimit(silence - 0.1, prompt).max_jitter - 1e-6
 
 
 def test_report_and_remedy_name_the_shortest_silence():
@@ -142,20 +142,20 @@ def test_figure_of_the_last_minute_expires_and_the_longest_is_kept():
 
 @given(st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 1.0)), min_size=1, max_size=60))
 def test_figures_match_all_samples_and_warnings_are_limited(steps):
-    run, kept, warned = Run(), [], []
+    run, samples, warned = Run(), [], []
     for pause, late in steps:
         due = run.now + pause
         run.now = due + late
-        kept.append((run.now, run.now - due))
+        samples.append((run.now, run.now - due))
         if run.monitor.sample(due, run.now):
-            warned.append(kept[-1])
-        recent = [length for when, length in kept if when >= run.now - WINDOW]
+            warned.append(samples[-1])
+        recent = [length for when, length in samples if when >= run.now - WINDOW]
         assert run.monitor.last_minute(run.now) == max(recent)
-        assert run.monitor.longest == max(length for _, length in kept)
+        assert run.monitor.longest == max(length for _, length in samples)
     assert all(length > run.monitor.limit.max_jitter for _, length in warned)
     for (when, length), (later, longer) in pairwise(warned):
         assert later - when >= WINDOW or longer >= 1.5 * length
-    assert warned or all(length <= run.monitor.limit.max_jitter for _, length in kept)
+    assert warned or all(length <= run.monitor.limit.max_jitter for _, length in samples)
 
 
 def test_silence_is_explained_by_the_delay_of_the_computer():

@@ -281,10 +281,10 @@ def problems_of(block: Block, folder: Path) -> Problems:
     return [f"{block.place}: {problem}" for problem in check(block, folder)]
 
 
-def missing_lines(wanted: str, output: str) -> Problems:
+def missing_lines(expected: str, output: str) -> Problems:
     """The lines of a block of output that a command did not print. Figures are ignored."""
     printed = {_plain(line) for line in output.splitlines()}
-    lines = [line for line in wanted.splitlines() if line.strip() and line.strip() != "..."]
+    lines = [line for line in expected.splitlines() if line.strip() and line.strip() != "..."]
     return [
         f"was not printed: {line}"
         for line in lines

@@ -25,6 +25,6 @@ def test_tutorial_mission_prints_the_output_of_the_page(tmp_path: Path) -> None:
         [sys.executable, "-m", "lfield", *command.split()],
         cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=200,
     )  # fmt: skip
-    (shown,) = (block.text for block in blocks if block.text.startswith("west | boss: row 0 done"))
+    (excerpt,) = (block.text for block in blocks if block.text.startswith("west | boss: row 0 done"))
     assert done.returncode == 0, done.stderr
-    assert missing_lines(shown, done.stdout + done.stderr) == []
+    assert missing_lines(excerpt, done.stdout + done.stderr) == []

@@ -187,8 +187,8 @@ def test_fake_process_with_device_in_real_time_and_behind_a_guard():
 
 @pytest.mark.process
 def test_fake_or_device_that_fails_to_start_reports_the_reason(capfd):
-    words = "the simulated device 'dynamixel' did not start"
-    with pytest.raises(AssertionError, match=words), running_fake("dynamixel", "--servo", "1:XM999"):
+    text = "the simulated device 'dynamixel' did not start"
+    with pytest.raises(AssertionError, match=text), running_fake("dynamixel", "--servo", "1:XM999"):
         pass
     assert "there is no simulation of the servo 'XM999'" in capfd.readouterr().err
 

@@ -103,7 +103,7 @@ def test_plugin_with_and_without_a_comparison_of_bindings():
         bindings = [
             DeviceBinding(agent=e, field="b", type="T", driver="thing", endpoint=e) for e in endpoints
         ]
-        return [(binding.agent, why) for binding, why in plugin.conflicts_of(bindings)]
+        return [(binding.agent, reason) for binding, reason in plugin.conflicts_of(bindings)]
 
     assert compare("only_first", "1", "2") == [("2", "one too many")]
     assert compare("", "1", "2") == []

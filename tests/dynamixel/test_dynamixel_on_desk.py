@@ -74,9 +74,9 @@ async def test_unplugged_chain_is_reported_once_and_stopped_by_its_watchdog(serv
     await bench.until(lambda: bench.values["position"] > 0.1)
     start = desk.now
     chain.fault("unplug=true")
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError) as error:
         await moving
-    assert caught.value.kind == "DeviceTimeoutException"
+    assert error.value.kind == "DeviceTimeoutException"
     assert desk.now - start < 10.0
     # Longer than the time of the watchdog: the servo has stopped when the port is plugged in again.
     await asyncio.sleep(1.5)

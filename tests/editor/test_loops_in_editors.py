@@ -53,9 +53,9 @@ def test_loops_are_in_the_outline(workspace: Workspace) -> None:
 @pytest.mark.parametrize("marked", ["loop st|op at", "!st|op.running", "return st|op"])
 def test_hover_on_a_loop_name_shows_its_comment(marked: str, workspace: Workspace) -> None:
     at = PROGRAM.index(marked.replace("|", "")) + marked.index("|")
-    shown = workspace.hover(MISSION, at)
-    assert "loop Cart.stop" in shown
-    assert "Stops before people." in shown
+    hover = workspace.hover(MISSION, at)
+    assert "loop Cart.stop" in hover
+    assert "Stops before people." in hover
 
 
 def test_completion_of_a_loop_has_two_methods_and_no_generated_fields(workspace: Workspace) -> None:

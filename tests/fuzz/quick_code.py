@@ -65,8 +65,8 @@ def partly_compiled(changed: Collection[int]) -> Iterator[None]:
     """In this context, methods that are not `changed` may be left to the reference engine."""
 
     def some_methods(program: Program) -> list[int]:
-        dice = random.Random(program.digest)
-        return [i for i in called_methods(program) if dice.random() < _COMPILED or i in changed]
+        rng = random.Random(program.digest)
+        return [i for i in called_methods(program) if rng.random() < _COMPILED or i in changed]
 
     with patch.object(module_lowering, "called_methods", some_methods):
         yield

@@ -67,16 +67,16 @@ def main(count: int) -> None:
     """Try every fault of every row."""
     texts = [random_program(random.Random(seed)).text() for seed in range(count)]
     programs = [(compiled(text), text) for text in texts]
-    made = missed = 0
+    made_count = missed = 0
     for opcode, row in list(ROWS.items()):
         for wrong, how in spoiled(row):
             ROWS[opcode] = wrong
-            made += 1
+            made_count += 1
             if noticed(programs, opcode) < 0:
                 missed += 1
                 print(f"{opcode}: {how}: not noticed", flush=True)
         ROWS[opcode] = row
-    print(f"{made} mistakes, {missed} not noticed by {count} programs")
+    print(f"{made_count} mistakes, {missed} not noticed by {count} programs")
 
 
 if __name__ == "__main__":

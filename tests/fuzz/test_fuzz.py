@@ -99,8 +99,8 @@ def test_difference_is_reduced(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--count", "400", "--mutants", "0", "--most", "1", "--engine", engine]) == 1
     report = capsys.readouterr().out
     program = report[report.index("// deploy") : report.index("\n\n")]
-    whole = random_program(random.Random(int(report.split()[1].rstrip(":")))).text()
-    assert len(program) < len(whole) / 2
+    full_text = random_program(random.Random(int(report.split()[1].rstrip(":")))).text()
+    assert len(program) < len(full_text) / 2
     assert "1 differences" in report
 
 

@@ -102,16 +102,16 @@ def test_shape_is_selected_by_name_or_number():
     assert chosen_shape("f", shapes, "p3").number == 3
     assert chosen_shape("f", shapes, "1").name == "p1"
     for name in ("", "p2", "p9"):
-        with pytest.raises(MissionFileError) as caught:
+        with pytest.raises(MissionFileError) as error:
             chosen_shape("f", shapes, name)
-        assert "'p1', 'p3'" in caught.value.fault
+        assert "'p1', 'p3'" in error.value.fault
     with pytest.raises(MissionFileError):
         chosen_shape("f", [shapes[1]])
     assert chosen_shape("f", shapes[:2]).name == "p1"
     same = read(kml(polygon(), polygon()).replace(b"p2", b"p1"))
-    with pytest.raises(MissionFileError) as caught:
+    with pytest.raises(MissionFileError) as error:
         chosen_shape("f", same, "p1")
-    assert caught.value.fault.endswith("'1', '2'")
+    assert error.value.fault.endswith("'1', '2'")
     assert chosen_shape("f", same, "2").number == 2
 
 
@@ -229,10 +229,10 @@ _BOMB = "<!DOCTYPE kml [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
     ],
 )
 def test_malicious_and_foreign_files_are_refused(data, position):
-    with pytest.raises(MissionFileError) as caught:
+    with pytest.raises(MissionFileError) as error:
         read(data, "f.geojson")
-    assert caught.value.where == position
-    assert caught.value.file == "f.geojson"
+    assert error.value.where == position
+    assert error.value.file == "f.geojson"
 
 
 def test_crs_of_wgs_84_is_read():

@@ -89,7 +89,7 @@ def _written(*names, wait=0.0, then=(), unread=0):
     """
     binding = _binding()
 
-    async def story():
+    async def scenario():
         output = Output()
         shell = guard_of(Lift, output)
         shell.data_received(
@@ -110,7 +110,7 @@ def _written(*names, wait=0.0, then=(), unread=0):
         return output.writes
 
     with asyncio.Runner(loop_factory=JumpingLoop) as runner:
-        return runner.run(story())
+        return runner.run(scenario())
 
 
 def test_changed_telemetry_precedes_the_result_in_the_same_write():
@@ -163,7 +163,7 @@ def test_periodic_telemetry_waits_for_a_slow_host():
 def test_lock_out_lasts_until_an_operator_ends_it():
     now = LoopClock
 
-    async def story():
+    async def scenario():
         output = Output()
         shell = guard_of(Lift, output)
         thing = known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))
@@ -182,7 +182,7 @@ def test_lock_out_lasts_until_an_operator_ends_it():
         return output.received[:before], output.received[before:]
 
     with asyncio.Runner(loop_factory=JumpingLoop) as runner:
-        sent_messages, after = runner.run(story())
+        sent_messages, after = runner.run(scenario())
     assert LockedOut("alpha.thing", "it crashed") in sent_messages
     refused = {message.token: message.reason for message in sent_messages if isinstance(message, Refused)}
     assert refused.keys() == {1, 2, 3}
@@ -194,7 +194,7 @@ def test_lock_out_lasts_until_an_operator_ends_it():
 def test_calls_that_end_before_they_start_leave_no_data():
     """A task that is cancelled before its first step runs no `finally`."""
 
-    async def story():
+    async def scenario():
         shell = guard_of(Lift, Output())
         thing = known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))
         shell.data_received(encode(OpenDevices([_binding()], "", 99.0, thing)))
@@ -208,4 +208,4 @@ def test_calls_that_end_before_they_start_leave_no_data():
         return running
 
     with asyncio.Runner(loop_factory=JumpingLoop) as runner:
-        assert runner.run(story()) == [8]
+        assert runner.run(scenario()) == [8]

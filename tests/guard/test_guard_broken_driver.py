@@ -110,21 +110,21 @@ def binding(endpoint: str, field: str = "t") -> DeviceBinding:
     )  # fmt: skip
 
 
-def run(plugins, story):
+def run(plugins, scenario):
     async def main():
         async with guarded(binding("here"), plugins=plugins, silence=5.0) as (bench,):
-            await story(bench)
+            await scenario(bench)
 
     asyncio.run(main())
 
 
 def test_exception_in_a_callback_makes_the_device_safe(plugins):
-    async def story(bench):
+    async def scenario(bench):
         await bench.call("stumble")
         await bench.until(lambda: bench.confirmed, 60.0, "the safe state")
         assert bench.latched == "the driver failed: RuntimeError('stumbled')"
 
-    run(plugins, story)
+    run(plugins, scenario)
 
 
 async def test_limit_breach_latches_only_the_device_that_caused_it(plugins):
@@ -137,13 +137,13 @@ async def test_limit_breach_latches_only_the_device_that_caused_it(plugins):
 
 
 def test_failed_background_future_is_reported_without_a_latch(plugins):
-    async def story(bench):
+    async def scenario(bench):
         await bench.call("forget")
         note = "the driver task failed: RuntimeError('forgotten')"
         await bench.until(lambda: note in bench.notes, 60.0, "a note")
         assert bench.latched == ""
 
-    run(plugins, story)
+    run(plugins, scenario)
 
 
 def test_exception_in_a_callback_during_open_fails_the_open(plugins):
@@ -198,7 +198,7 @@ class _Faulty(_Plain):
 def _messages(kind, close=None):
     """The messages of a guard that opens one device of this class, and is closed."""
 
-    async def story():
+    async def scenario():
         output = Output()
         shell = guard_of(kind, output)
         shell.data_received(encode(OpenDevices([binding("here")], "", 99.0, known_thing())))
@@ -209,7 +209,7 @@ def _messages(kind, close=None):
         return output.received
 
     with asyncio.Runner(loop_factory=JumpingLoop) as runner:
-        return runner.run(story())
+        return runner.run(scenario())
 
 
 def test_exception_about_the_safe_states_fails_the_open():
@@ -251,8 +251,8 @@ class _Stubborn(_Plain):
         pass
 
 
-def _guarded(story, *, ends):
-    """The messages of a guard with this story, and the commands that its device has received."""
+def _guarded(scenario, *, ends):
+    """The messages of a guard in this scenario, and the commands that its device has received."""
 
     async def main():
         output = Output()
@@ -261,7 +261,7 @@ def _guarded(story, *, ends):
         shell.data_received(encode(OpenDevices([device], "", 99.0, known_thing(RELEASE))))
         await asyncio.sleep(0.1)
         shell.data_received(encode(RequestSafeState("a.t", "an operator requested it")))
-        await story(shell)
+        await scenario(shell)
         commands = shell._driver.devices["a.t"].commands
         await shell.close()
         return output.received, commands
@@ -271,24 +271,24 @@ def _guarded(story, *, ends):
 
 
 def test_the_end_of_an_abandoned_command_does_not_confirm_another_safe_state():
-    async def story(shell):
+    async def scenario(shell):
         await asyncio.sleep(0.1)
         shell.data_received(encode(RequestSafeState("a.t", "hold instead", state="hold")))
         await asyncio.sleep(1.0)
 
-    sent_messages, commands = _guarded(story, ends=False)
+    sent_messages, commands = _guarded(scenario, ends=False)
     assert commands == ["off", "hold"]
     assert not [message for message in sent_messages if isinstance(message, Latched) and message.confirmed]
 
 
 def test_the_failure_of_an_abandoned_command_does_not_make_a_released_device_safe_again():
-    async def story(shell):
+    async def scenario(shell):
         await asyncio.sleep(REPEAT + 1.0)  # The device still moves, so its safe state is commanded again.
         sent = LoopClock().monotonic()
         shell.data_received(encode(GuardCall(1, "a.t", "release", [], sent, sent + 9.0)))
         await asyncio.sleep(RETRY + 1.0)
 
-    sent_messages, commands = _guarded(story, ends=True)
+    sent_messages, commands = _guarded(scenario, ends=True)
     assert Released("a.t") in sent_messages
     notes = [message.code for message in sent_messages if isinstance(message, Note)]
     assert "safe-state-unconfirmed" not in notes

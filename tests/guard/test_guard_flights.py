@@ -22,12 +22,12 @@ def desk():
 
 @pytest.fixture
 def fly(desk):
-    """Runs `story(flight)` with a vehicle behind its guard: `fly(story, safe_state="hold")`."""
+    """Runs `steps(flight)` with a vehicle behind its guard: `fly(steps, safe_state="hold")`."""
 
-    def run(story, **changes):
+    def run(steps, **changes):
         state = changes.get("safe_state", "land")
         fake = desk.fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", state, *BRISK)
-        return desk.run(story, binding(fake.endpoint, **changes))
+        return desk.run(steps, binding(fake.endpoint, **changes))
 
     return run
 
@@ -56,11 +56,11 @@ async def test_expired_setpoint_latches_the_safe_state(flight, /):
 def test_closing_the_host_lands_a_flying_vehicle(desk, fly):
     flights = []
 
-    async def story(flight):
+    async def steps(flight):
         flights.append(flight)
         await take_off(flight, 3.0)
 
-    fly(story)
+    fly(steps)
     (flight,) = flights
     assert "alpha.fc in safe state 'land': the host is stopping" in flight.notes
 

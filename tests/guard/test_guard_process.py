@@ -185,9 +185,9 @@ def problems_on_opening(*devices) -> str:
 
 @pytest.mark.few(0)
 def test_every_device_that_fails_to_open_is_reported():
-    absent = binding("udp:127.0.0.1:9", options={"connect": 0.3})
+    unreachable = binding("udp:127.0.0.1:9", options={"connect": 0.3})
     other = msgspec.structs.replace(binding("upd:127.0.0.1:1"), agent="beta")
-    problems = problems_on_opening(absent, other)
+    problems = problems_on_opening(unreachable, other)
     assert "alpha.fc: no heartbeat from system 1 at udp:127.0.0.1:9 within 0.3 s" in problems
     assert "beta.fc: 'upd:127.0.0.1:1' is not an endpoint; write udp:HOST:PORT, udpin:HOST:PORT" in problems
 

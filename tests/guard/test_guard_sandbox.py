@@ -169,7 +169,7 @@ def test_guard_of_a_serial_port_has_no_host_files_and_is_sandboxed(tmp_path):
     with running_fake("dynamixel") as fake, (tmp_path / "host.key").open() as key_file:
         os.set_inheritable(key_file.fileno(), True)
 
-        async def story():
+        async def scenario():
             bound = bind(PLUGIN, "Dynamixel", endpoint=fake.endpoint, waivers=["no_homing"])
             async with guarded(bound) as (joint,):
                 guard = Path(f"/proc/{joint.guard_pid}")
@@ -177,7 +177,7 @@ def test_guard_of_a_serial_port_has_no_host_files_and_is_sandboxed(tmp_path):
                 status = (guard / "status").read_text()
                 return files, status
 
-        files, status = asyncio.run(story())
+        files, status = asyncio.run(scenario())
     assert not any(str(tmp_path) in name for name in files), files
     assert re.search(r"NoNewPrivs:\t1\n", status)
     assert re.search(r"Seccomp:\t2\n", status)

@@ -63,7 +63,7 @@ def stopped(*fields, kind=Thing, at=0.2, latched="", **stop):
         for field in fields
     ]  # fmt: skip
 
-    async def story():
+    async def scenario():
         clock, output = LoopClock(), Output()
         shell = guard_of(kind, output)
         request = encode(OpenDevices(devices, latched, 0.2, known_thing()))
@@ -77,7 +77,7 @@ def stopped(*fields, kind=Thing, at=0.2, latched="", **stop):
         await shell.close()
         return output.received, clock.monotonic() - stopped_at
 
-    return run_jumping(story())
+    return run_jumping(scenario())
 
 
 def of_kind(sent, kind):

@@ -54,7 +54,7 @@ BINDING = DeviceBinding(
 
 
 def test_messages_just_before_the_timer_do_not_delay_the_latch():
-    async def story():
+    async def scenario():
         clock, output = LoopClock(), Output()
         shell = guard_of(Thing, output)
         shell.data_received(encode(OpenDevices([BINDING], "", SILENCE, known_thing(GO))))
@@ -72,14 +72,14 @@ def test_messages_just_before_the_timer_do_not_delay_the_latch():
         await shell.close()
 
     with asyncio.Runner(loop_factory=CoarseLoop) as runner:
-        runner.run(story())
+        runner.run(scenario())
 
 
 def test_a_guard_without_memory_commands_the_safe_states_once_and_is_killed(monkeypatch):
     signals, requests = [], []
     monkeypatch.setattr("lfield.guard.shell.os.kill", lambda pid, number: signals.append(number))
 
-    async def story():
+    async def scenario():
         shell = guard_of(Thing, Output())
         shell.data_received(encode(OpenDevices([BINDING], "", 10.0, known_thing(GO))))
         await asyncio.sleep(0.01)
@@ -92,4 +92,4 @@ def test_a_guard_without_memory_commands_the_safe_states_once_and_is_killed(monk
         await shell.close()
 
     with asyncio.Runner(loop_factory=CoarseLoop) as runner:
-        runner.run(story())
+        runner.run(scenario())

@@ -24,7 +24,7 @@ from lfield.simulate.journal_disk import JournalDisk
 from lfield.simulate.jumping_loop import LoopClock, run_jumping
 
 #: Seconds of virtual time until a test fails.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 
 
 class Running:
@@ -82,8 +82,8 @@ class Fleet:
         for ending, text in files.items():
             if text:
                 (self.folder / (name + ending)).write_text(text)
-        made = load_mission(self.folder / f"{name}.dL", simulate=simulate)
-        return made.with_bindings(replace(made.bindings, start=MissionStart(without)))
+        mission = load_mission(self.folder / f"{name}.dL", simulate=simulate)
+        return mission.with_bindings(replace(mission.bindings, start=MissionStart(without)))
 
     def make(self, mission: Mission, name: str, *, address: str = "", **options: Any) -> Running:
         """A host, not yet started. With `keeps` it has a journal, on its disk."""
@@ -119,7 +119,7 @@ class Fleet:
 
     async def until(self, condition: Callable[[], Any]) -> None:
         """Let virtual time pass until the condition is true."""
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(TIMEOUT):
             while not condition():
                 await asyncio.sleep(0.01)
 
@@ -152,13 +152,13 @@ class Fleet:
 
 @pytest.fixture
 def fleet(tmp_path: Path):
-    """`fleet(story)` runs a coroutine function with a Fleet in virtual time, then stops its hosts."""
+    """`fleet(scenario)` runs a coroutine function with a Fleet in virtual time, then stops its hosts."""
 
-    def run(story: Callable[[Fleet], Awaitable[None]], **options: Any) -> Fleet:
+    def run(scenario: Callable[[Fleet], Awaitable[None]], **options: Any) -> Fleet:
         async def main() -> Fleet:
             made = Fleet(tmp_path / "mission", **options)
             try:
-                await story(made)
+                await scenario(made)
             finally:
                 await made.stop()
             return made

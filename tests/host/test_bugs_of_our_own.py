@@ -93,17 +93,17 @@ def names(places):
 def plant(monkeypatch, owner, name, after=0, only=()):
     """Raise in call number `after` that concerns an agent of `only` (any agent, if that is empty)."""
     original = getattr(owner, name)
-    seen = []
+    calls = []
 
     def planted(*given, **named):
         if not only or any(agent_of(value) in only for value in given):
-            seen.append(name)
-            if len(seen) == after + 1:
+            calls.append(name)
+            if len(calls) == after + 1:
                 raise ZeroDivisionError("planted")
         return original(*given, **named)
 
     monkeypatch.setattr(owner, name, planted)
-    return seen
+    return calls
 
 
 def agent_of(value):
@@ -117,13 +117,13 @@ def agent_of(value):
 @pytest.mark.parametrize("after", [0, 7])
 @pytest.mark.parametrize(("owner", "name"), IN_A_TURN, ids=names(IN_A_TURN))
 async def test_a_bug_in_the_turn_of_an_agent_ends_only_that_agent(team, /, monkeypatch, owner, name, after):
-    seen = plant(monkeypatch, owner, name, after, MINE)
+    calls = plant(monkeypatch, owner, name, after, MINE)
 
     alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
     assert await team.ended("bystander") == "done"
     logs = alpha.log + bravo.log
     assert "bystander: walked to the end" in logs
-    assert len(seen) > after, "the planted bug was never reached"
+    assert len(calls) > after, "the planted bug was never reached"
     assert "bug in lfield: ZeroDivisionError: planted" in logs
     assert "died of an uncaught bug in lfield" in logs
     # The coordinator fails in either case: itself, or its portal call.
@@ -176,9 +176,9 @@ async def test_a_bug_of_the_host_ends_the_host_without_a_further_beat(team, /, m
         assert not running.host.step(), "a heartbeat would be sent"
         assert f"{running.host.name} stopped: bug in lfield: ZeroDivisionError" in running.log
         assert running.log.count("stopped: bug in lfield") == 1
-        said = lines_of_core(running)
+        lines = lines_of_core(running)
         await asyncio.sleep(5.0)
-        assert lines_of_core(running) == said, "the host still acts"
+        assert lines_of_core(running) == lines, "the host still acts"
 
 
 async def test_a_bug_in_a_task_of_the_links_ends_the_host(team, /, monkeypatch):

@@ -58,8 +58,8 @@ PASSED = 4
 class FrameDamage:
     """Flips a bit of the frames that `wanted` selects, at a later place each time: one frame of each link."""
 
-    def __init__(self, wanted: Callable[[MemoryLink, bytes], bool]) -> None:
-        self.wanted = wanted
+    def __init__(self, expected: Callable[[MemoryLink, bytes], bool]) -> None:
+        self.wanted = expected
         self.place, self.flipped, self.last = 0, 0, 0
         #: Damages after which a link has carried PASSED more of these frames.
         self.harmless = self._passed = 0

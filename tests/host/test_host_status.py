@@ -103,10 +103,10 @@ async def test_a_coordinator_in_doubt_stays_frozen_and_is_reported(team, /):
     (record,) = home[0].host.status().coordinators
     assert (record.state, record.where) == ("IN DOUBT", "away")
     await away.host.stop()
-    (fate,) = await wait_until_done(home[0].host, 15.0)
+    (outcome,) = await wait_until_done(home[0].host, 15.0)
     # It may have accepted the transfer, and may return: silence is no proof.
-    assert fate.outcome == "unheard"
-    assert fate.detail.startswith("it moved to away (transfer 1), and away has been unreachable for 1")
+    assert outcome.outcome == "unheard"
+    assert outcome.detail.startswith("it moved to away (transfer 1), and away has been unreachable for 1")
 
 
 async def test_a_host_that_does_not_answer_gives_an_error_among_the_answers(team, /):
@@ -220,7 +220,7 @@ async def test_a_client_without_a_hello_is_disconnected(team, /):
 async def test_a_host_that_has_not_started_yet_is_waited_for_like_in_portal_calls(team, /, lost_after):
     (away,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "away")
     started = asyncio.get_running_loop().time()
-    (fate,) = await wait_until_done(away.host, lost_after)
-    assert fate.outcome == "unheard"
-    assert fate.detail.startswith("it starts on home, and home has been unreachable for ")
+    (outcome,) = await wait_until_done(away.host, lost_after)
+    assert outcome.outcome == "unheard"
+    assert outcome.detail.startswith("it starts on home, and home has been unreachable for ")
     assert asyncio.get_running_loop().time() - started >= max(10.0, lost_after) - 1.5

@@ -335,15 +335,15 @@ async def test_an_uncaught_exception_shows_the_stack_of_both_agents_and_the_host
     lines = bravo.log.splitlines()
     start = next(i for i, line in enumerate(lines) if "died" in line)
     assert lines[start].startswith("tom died of an uncaught ArithmeticException")
-    shown = lines[start + 1 :]
+    lines_after = lines[start + 1 :]
     stack = [
         "    at Divider.share (mission.L:8) in divider",
         "    at Divider.part (mission.L:5) in divider",
         "    at Careless.divide (mission.L:19)",
         "    at Careless.init (mission.L:16)",
     ]
-    places = [shown.index(line) for line in stack]
+    places = [lines_after.index(line) for line in stack]
     assert places == sorted(places)
-    assert "    hosts visited: alpha → bravo" in shown
+    assert "    hosts visited: alpha → bravo" in lines_after
     assert bravo.holds("divider"), "the resource continues"
     await team.until(lambda: alpha.host.mobility.known_states()[0].outcome == "died")

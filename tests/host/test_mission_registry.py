@@ -93,18 +93,18 @@ def test_another_registry_file_may_be_given(folder: Path) -> None:
 
 def test_errors_of_the_registry_are_errors_of_the_mission(folder: Path) -> None:
     write(folder, ".capabilities.yaml", CAPABILITIES.replace("  small:", "  smal:").replace("50.0", "heavy"))
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         load_mission(folder / "mission.dL")
-    assert len(codes(caught)) == 2
-    assert all(code.startswith("C") for code in codes(caught))
-    assert [d.code for d in check_file(folder / "mission.L")] == codes(caught)
+    assert len(codes(error)) == 2
+    assert all(code.startswith("C") for code in codes(error))
+    assert [d.code for d in check_file(folder / "mission.L")] == codes(error)
 
 
 def test_a_missing_portal_is_reported_where_the_registry_names_it(folder: Path) -> None:
     write(folder, ".capabilities.yaml", CAPABILITIES.replace("lift: hoist", "lift: raise"))
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         load_mission(folder / "mission.dL")
-    (found,) = caught.value.diagnostics
+    (found,) = error.value.diagnostics
     assert Path(found.span.source.name).name == "mission.capabilities.yaml"
     assert "Crane" in found.message
 
@@ -135,6 +135,6 @@ def test_a_live_attribute_of_an_unknown_device_is_refused(folder: Path) -> None:
         ".capabilities.yaml",
         CAPABILITIES.replace("    attributes:", "    live: {fault: x.fault}\n    attributes:"),
     )
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         load_mission(folder / "mission.dL")
-    assert codes(caught) == ["C172"]
+    assert codes(error) == ["C172"]

@@ -77,7 +77,7 @@ async def two_hosts(team, program=IDLE, **options):
 
 
 def known(running, agent):
-    return next(told for told in running.host.status().directory if told.agent == agent)
+    return next(entry for entry in running.host.status().directory if entry.agent == agent)
 
 
 def offered(running, constraint=None):
@@ -212,10 +212,10 @@ async def test_a_snapshot_has_attributes_of_agents_on_other_hosts_only_on_reques
     near.values["near.fc", "battery"] = far.values["far.fc", "battery"] = (0.75, 0.1)
     await team.until(lambda: "battery" in known(alpha, "far").facts)
     subscriptions = alpha.host._observers.subscriptions
-    whole, brief = (subscriptions.snapshot_batch(directory=all_of).snapshot for all_of in (True, False))
-    assert "battery" in {t.agent: t for t in whole.directory}["far"].facts
+    full, brief = (subscriptions.snapshot_batch(directory=all_of).snapshot for all_of in (True, False))
+    assert "battery" in {t.agent: t for t in full.directory}["far"].facts
     found = {t.agent: t for t in brief.directory}
-    assert found.keys() == {t.agent for t in whole.directory}
+    assert found.keys() == {t.agent for t in full.directory}
     assert "battery" in found["near"].facts
     assert (found["far"].refusal, found["far"].facts, found["far"].unknown) == ("", {}, {})
 

@@ -120,8 +120,8 @@ def test_a_device_is_made_safe_when_the_host_of_its_user_restarts_without_it():
     rig.wait(60.0)
     rig.has = {"b": []}
     rig.wait(AFTER + AFTER / 4.0 + 1.0)
-    ((_, gone),) = rig.gone
-    assert "(pilot, last known at b) has been confirmed alive for 20 s" in gone.reason
+    ((_, reason),) = rig.gone
+    assert "(pilot, last known at b) has been confirmed alive for 20 s" in reason.reason
 
 
 def test_a_cut_link_has_no_effect_while_other_hosts_reach_the_peer():

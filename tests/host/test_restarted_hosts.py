@@ -65,9 +65,9 @@ async def test_a_coordinator_is_lost_with_a_host_that_restarts_at_once(team, /):
     await team.until(lambda: away.output == ["arrived"])
     await away.host.stop()
     await team.up(mission, "away")
-    (fate,) = await wait_until_done(home.host, lost_after=1000.0)
-    assert fate.outcome == "lost"
-    assert fate.detail.endswith("which was restarted")
+    (outcome,) = await wait_until_done(home.host, lost_after=1000.0)
+    assert outcome.outcome == "lost"
+    assert outcome.detail.endswith("which was restarted")
 
 
 TWICE = """
@@ -137,9 +137,9 @@ ONE_VISIT = "//Post:post@away\n//Guest:guest@home?post\n"
 async def life(running, lost_after: float = 15.0) -> str:
     """Run a host with --until-done from its start to its end; return how the guests ended."""
     await running.host.start()
-    fates = await wait_until_done(running.host, lost_after)
+    outcomes = await wait_until_done(running.host, lost_after)
     await running.host.stop()
-    return ", ".join(fate.outcome for fate in fates)
+    return ", ".join(outcome.outcome for outcome in outcomes)
 
 
 async def test_a_host_with_records_of_an_earlier_run_waits_for_the_next(team, /):

@@ -159,16 +159,16 @@ def test_a_device_is_silent_after_the_shortest_maximum_age_of_its_values(install
     clock.advance(1000.0)
     assert snapshots.silent_since("sky.fc") is None
     snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {}, clock.now))
-    heard = clock.now
+    received_at = clock.now
     quickest = min(quantity.max_age for quantity in kind.manifests["Mavlink"].device.telemetry)
     clock.advance(max(quickest, SILENCE_LIMIT) - 0.1)
     assert snapshots.silent_since("sky.fc") is None
     clock.advance(0.2)
-    assert snapshots.silent_since("sky.fc") == heard
+    assert snapshots.silent_since("sky.fc") == received_at
 
 
 def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
-    async def story():
+    async def scenario():
         clock = ManualClock()
         guard = GuardProcess(
             installed.by_driver["mavlink"],
@@ -188,7 +188,7 @@ def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
         guard.latched_devices.latched.clear()
         guard.snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {}, clock.now))
         clock.advance(1000.0)
-        trouble = guard.unavailability("sky.fc")
-        assert trouble.sentence(clock.now) == "fc: no message for 1000 s"
+        problem = guard.unavailability("sky.fc")
+        assert problem.sentence(clock.now) == "fc: no message for 1000 s"
 
-    asyncio.run(story())
+    asyncio.run(scenario())

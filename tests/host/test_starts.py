@@ -61,11 +61,11 @@ async def test_without_records_a_host_waits_until_all_hosts_have_answered(team, 
     mission = team.mission(PROGRAM, TWO_GUESTS)
     (home,) = await team.up(mission, "home", keeps=True, first_start=False)
     await asyncio.sleep(30.0)
-    why = (
+    reason = (
         "guest and other not started: this host has no record of earlier starts, and away has to answer "
         "first; --first-start states that there was no earlier start"
     )
-    assert home.log.count(why) == 1
+    assert home.log.count(reason) == 1
     assert not home.holds("guest")
     await team.up(mission, "away", keeps=True)
     await team.until(lambda: home.host.mobility.known_states())
@@ -99,9 +99,9 @@ async def test_a_start_that_needs_an_exited_host_is_not_made(team, /):
     await asyncio.sleep(5.0)
     assert not home.holds("guest")
     # A host that waits for the end of the mission does not wait without end.
-    (fate,) = await wait_until_done(home.host, 3.0)
-    assert (fate.agent, fate.outcome) == ("guest", "lost")
-    assert fate.detail == "it was not started, since away has ended"
+    (outcome,) = await wait_until_done(home.host, 3.0)
+    assert (outcome.agent, outcome.outcome) == ("guest", "lost")
+    assert outcome.detail == "it was not started, since away has ended"
 
 
 @pytest.mark.parametrize("keeps", [False, True])
@@ -162,8 +162,8 @@ async def test_a_host_keeps_a_bounded_number_of_starts(team, /):
         await team.until(lambda home=home: not home.holds("guest"))
         await asyncio.sleep(1.0)
         await home.host.stop()
-    kept = team.disks["home"].open(LoopClock(), print).records()
-    assert len(kept) <= MAX_STARTS + 4
+    records = team.disks["home"].open(LoopClock(), print).records()
+    assert len(records) <= MAX_STARTS + 4
 
 
 async def test_an_ended_coordinator_is_not_started_again_in_an_interrupted_run(team, /):

@@ -37,9 +37,9 @@ def read(folder: Path, text: str | bytes) -> Inventory:
 
 def findings(folder: Path, text: str | bytes) -> list[tuple[str, int, int]]:
     """Code, line and column of each error of a file."""
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         read(folder, text)
-    return [(each.code, each.span.line, each.span.column) for each in caught.value.diagnostics]
+    return [(each.code, each.span.line, each.span.column) for each in error.value.diagnostics]
 
 
 def test_complete_inventory_is_read(tmp_path: Path) -> None:

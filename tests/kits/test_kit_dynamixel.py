@@ -12,7 +12,7 @@ SO101 = Path(__file__).parents[2] / "examples/07-so101-arm/so101.json"
 
 
 def servos(desk, *specs):
-    options = [word for spec in specs for word in (("--servo", spec) if spec[0] != "-" else (spec,))]
+    options = [argument for spec in specs for argument in (("--servo", spec) if spec[0] != "-" else (spec,))]
     return desk.fake("dynamixel", "--baud", "1000000", *options)
 
 

@@ -70,7 +70,7 @@ def finding_of(plan, vehicle, *, cancelled=False):
     async def check():
         return [finding async for finding in run_kit(vehicle, checks, True)]
 
-    async def story():
+    async def scenario():
         task = asyncio.ensure_future(check())
         for _ in range(10):
             await asyncio.sleep(0)
@@ -82,7 +82,7 @@ def finding_of(plan, vehicle, *, cancelled=False):
         (finding,) = await task
         return finding
 
-    return asyncio.run(story())
+    return asyncio.run(scenario())
 
 
 @pytest.mark.parametrize("plan", [MISSION, RALLY])

@@ -38,8 +38,8 @@ def drawn(found: CheckResult) -> list[str]:
 
 
 def class_of(name: str, *resources: str) -> str:
-    made = classes(CAPABILITIES.registry, [name], resources)
-    return next(source.text for source in made if source.name == f"{name}.L")
+    found = classes(CAPABILITIES.registry, [name], resources)
+    return next(source.text for source in found if source.name == f"{name}.L")
 
 
 def test_registry_is_not_read_without_a_capability_in_the_program() -> None:
@@ -82,8 +82,8 @@ def test_generated_class_has_only_the_available_providers() -> None:
     assert "of_grip_and_climb" in class_of("Lift", "Copter", "Claw")
     names = [source.name for source in classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"])]
     assert names == ["Climb.L", "FirmGrip.L", "Grip.L", "Lift.L"]
-    taken = classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"], reserved=["Climb"])
-    assert [source.name for source in taken] == ["Lift.L"]
+    generated = classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"], reserved=["Climb"])
+    assert [source.name for source in generated] == ["Lift.L"]
 
 
 def test_caret_is_below_the_characters_of_a_condition() -> None:
@@ -170,5 +170,5 @@ def test_class_of_a_rule_may_use_more_capabilities(
     good = REGISTRY.with_name("lifting_grip_and_climb.inc").read_text(encoding="utf-8")
     more = good.replace("lifts = lifts + 1;", "lifts = lifts + findFirmGrip().length();")
     program = checked(PARTS + BOSS % "findLift();", with_class(more)).or_raise()
-    made = sorted(unit.name for unit in program.units if unit.capability)
-    assert made == ["Climb", "FirmGrip", "Grip", "Lift"]
+    units = sorted(unit.name for unit in program.units if unit.capability)
+    assert units == ["Climb", "FirmGrip", "Grip", "Lift"]

@@ -63,15 +63,15 @@ def assert_sound(checked: CheckResult) -> None:
 
 
 def assert_types_known(program: tree.CheckedProgram) -> None:
-    seen: set[int] = set()
+    observed: set[int] = set()
     waiting: list[object] = list(program.units)
     while waiting:
         node = waiting.pop()
         assert node is not UNKNOWN
         if isinstance(node, list):
             waiting.extend(node)
-        elif isinstance(node, Struct) and id(node) not in seen and not isinstance(node, Type | Source):
-            seen.add(id(node))
+        elif isinstance(node, Struct) and id(node) not in observed and not isinstance(node, Type | Source):
+            observed.add(id(node))
             waiting.extend(getattr(node, name) for name in node.__struct_fields__)
         elif isinstance(node, Type):
             waiting.extend([node.element] if hasattr(node, "element") else [])

@@ -69,6 +69,6 @@ def test_unreadable_main_file_is_an_input_file_error(tmp_path: Path, name: str) 
 
 
 def test_program_error_has_all_errors() -> None:
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         check_text("resource Arm { }").or_raise()
-    assert [d.code for d in caught.value.diagnostics] == ["L311"]
+    assert [d.code for d in error.value.diagnostics] == ["L311"]

@@ -27,12 +27,12 @@ def does_host_start(bundle: Path, host: str, keys: Path, at: float, *more: str) 
 
     parser = argparse.ArgumentParser()
     up.add_arguments(parser)
-    words = [str(bundle), "--host", host, "--keys", str(keys), "--volatile", *more]
+    arguments = [str(bundle), "--host", host, "--keys", str(keys), "--volatile", *more]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lfield.host.process.host_process.run_until_exit", live)
         patch.setattr(SystemClock, "time", lambda clock: at)
         try:
-            assert up.run(parser.parse_args(words)) == exit_status.DONE
+            assert up.run(parser.parse_args(arguments)) == exit_status.DONE
         except KeysError:
             assert not started
             return False

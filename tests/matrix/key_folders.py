@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from bundles_shown import sealed
 from certificates import NOT_BEFORE, Team, made
 from host_start import does_host_start
 from network_callers import NOW
+from signed_bundles import sealed
 
 from lfield.authority import keystore
 from lfield.authority.identity import Right, uri_of

@@ -228,8 +228,8 @@ class Network:
         """Whether a host accepted the action on a link whose certificate expired or was revoked later."""
         kind, event, state = who.split("_")
         caller = self.open_link_callers[kind, event]
-        fate = LinkFate(event == "ended", flies=state == "flies")
-        return asyncio.run(self._try(caller, what, "host" if kind == "host" else "observer", fate))
+        link_state = LinkFate(event == "ended", flies=state == "flies")
+        return asyncio.run(self._try(caller, what, "host" if kind == "host" else "observer", link_state))
 
     @cached_property
     def open_link_callers(self) -> dict[tuple[str, str], Caller]:
@@ -315,14 +315,14 @@ class Network:
         peers.reauthorise()
 
     def _messages_for(self, hello: Hello, what: str) -> list[bytes]:
-        said = [encode(hello)]
+        frames = [encode(hello)]
         if what == "hop":
-            said.append(encode_transfer(HOP, BLOCK) + BLOCK)
+            frames.append(encode_transfer(HOP, BLOCK) + BLOCK)
         elif what in ("list", "forged"):
-            said.append(encode(RevocationUpdate(self.newer if what == "list" else self.forged)))
+            frames.append(encode(RevocationUpdate(self.newer if what == "list" else self.forged)))
         elif what in SAID_BY_HOSTS or what in SAID_BY_COMMANDS:
-            said.append(encode({**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]))
-        return [*said, encode(Ping(TOKEN))]
+            frames.append(encode({**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]))
+        return [*frames, encode(Ping(TOKEN))]
 
     def _was_accepted(
         self, what: str, received: Sequence[Message], noted: RecordingHost, admission: CertificateAdmission
@@ -335,8 +335,8 @@ class Network:
             return "charlie" in noted.linked_with
         if what in ("list", "forged"):
             return admission.number == (2 if what == "list" else 9)
-        wanted = HOP if what == "hop" else {**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]
-        return wanted in noted.done
+        expected = HOP if what == "hop" else {**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]
+        return expected in noted.done
 
 
 def _roles(what: str) -> tuple[Role, ...]:

@@ -200,15 +200,15 @@ def noticed(hole: Hole) -> int:
         planted(hole, Path(name))
         # Python searches the working directory first.
         command = [sys.executable, "-m", "pytest", "-q", "-n0", "-p", "no:cacheprovider", "-c"]
-        words = [str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), "--tb=no", "-k", hole.ways]
-        told = subprocess.run(
-            [*command, *words, str(ROOT / "tests" / "matrix")],
+        arguments = [str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), "--tb=no", "-k", hole.ways]
+        process = subprocess.run(
+            [*command, *arguments, str(ROOT / "tests" / "matrix")],
             cwd=name,
             env={**os.environ, "PYTHONPATH": name},
             capture_output=True,
             text=True,
         ).stdout
-    failed = len(re.findall(r"^FAILED ", told, re.MULTILINE))
-    if not failed and not re.match(r"\.+ ", told):
-        raise RuntimeError(told)
+    failed = len(re.findall(r"^FAILED ", process, re.MULTILINE))
+    if not failed and not re.match(r"\.+ ", process):
+        raise RuntimeError(process)
     return failed

@@ -54,7 +54,7 @@ def _tries(kind: str, resource: str, portals: tuple[str, ...]) -> str:
 
 def _coordinator(kind: str) -> str:
     """A coordinator that tries the resources in sequence: a reserved resource is not offered to others."""
-    body = "".join(_tries(*who, portals) for who, portals in PORTALS.items())
+    body = "".join(_tries(*caller, portals) for caller, portals in PORTALS.items())
     begins = "string me = arg[0];\nsleep(s2f(arg[1]));\n"
     return f'coordinator {kind} {{\ninit(string[] arg) {{\n{begins}{body}print("{THROUGH}");\n}}\n}}\n'
 
@@ -117,11 +117,11 @@ class Portals:
         """Every line of the team, until each coordinator has finished."""
         fleet = Fleet(self._mission, 1, options=FleetOptions(keeps=False))
         through = {f"{member.id}: {THROUGH}" for member in self._mission.team.coordinators}
-        while not through <= (said := frozenset(text.strip() for _, _, text in fleet.log)):
+        while not through <= (lines := frozenset(text.strip() for _, _, text in fleet.log)):
             assert fleet.now < MAX_TIME, f"a coordinator has not finished: {fleet.log}"
             fleet.run(1.0)
         fleet.close()
-        return said
+        return lines
 
     def tried(self, who: str, what: str) -> bool:
         """Whether a coordinator may call a portal: `arm1.home`; in every way, or in none."""

@@ -44,9 +44,9 @@ class Way:
 
     def cells(self) -> Iterator[Cell]:
         """Every cell, row by row."""
-        for who, (_, marks) in self.rows.items():
+        for role, (_, marks) in self.rows.items():
             for what, mark in zip(self.columns, marks, strict=True):
-                yield Cell(self.name, who, what, done=mark in "y?", kept=mark in "yn")
+                yield Cell(self.name, role, what, done=mark in "y?", kept=mark in "yn")
 
 
 @cache
@@ -56,12 +56,12 @@ def ways() -> tuple[Way, ...]:
     return tuple(
         Way(
             name,
-            given["title"],
-            given["text"],
-            given["columns"],
-            {who: (row[0], row[1].replace(" ", "")) for who, row in given["rows"].items()},
+            table["title"],
+            table["text"],
+            table["columns"],
+            {role: (row[0], row[1].replace(" ", "")) for role, row in table["rows"].items()},
         )
-        for name, given in read.items()
+        for name, table in read.items()
     )
 
 
@@ -85,8 +85,8 @@ def page() -> str:
     ]
     for way in ways():
         lines += ["", f"## {way.title}", "", way.text.strip(), ""]
-        lines += [f"- **{short}**: {words}" for short, words in way.columns.items()]
+        lines += [f"- **{short}**: {text}" for short, text in way.columns.items()]
         lines += ["", f"| | {' | '.join(way.columns)} |", f"|---{'|---' * len(way.columns)}|"]
-        for words, marks in way.rows.values():
-            lines.append(f"| {words} | {' | '.join(SHOWN[mark] for mark in marks)} |")
+        for text, marks in way.rows.values():
+            lines.append(f"| {text} | {' | '.join(SHOWN[mark] for mark in marks)} |")
     return "\n".join(lines) + "\n"

@@ -170,8 +170,8 @@ class SocketUser:
 
 def _group() -> str:
     """A group of this computer that is not the own group of any of these users."""
-    taken = {peer_credentials.ROOT, *(user.number for row in SOCKET_USERS.values() for user in row)}
-    return next(group.gr_name for group in grp.getgrall() if group.gr_gid not in taken)
+    used_ids = {peer_credentials.ROOT, *(user.number for row in SOCKET_USERS.values() for user in row)}
+    return next(group.gr_name for group in grp.getgrall() if group.gr_gid not in used_ids)
 
 
 @contextmanager
@@ -212,14 +212,14 @@ def replace_peer_credentials(patch: pytest.MonkeyPatch, user: User, other: User)
     if user.number == other.number == os.geteuid() and not user.member and not other.member:
         return
     kernel: Any = TransportSocket.getsockopt
-    said = {
+    results = {
         socket.SO_PEERCRED: struct.pack("iII", os.getpid(), other.number, other.number),
         _SO_PEERGROUPS: struct.pack(f"{len(other.groups)}I", *other.groups),
     }
 
     def getsockopt(made: TransportSocket, level: int, option: int, size: int = 0) -> int | bytes:
-        asks = level == socket.SOL_SOCKET and option in said
-        return said[option] if asks else kernel(made, level, option, *([size] if size else []))
+        asks = level == socket.SOL_SOCKET and option in results
+        return results[option] if asks else kernel(made, level, option, *([size] if size else []))
 
     patch.setattr(TransportSocket, "getsockopt", getsockopt)
     patch.setattr(os, "geteuid", lambda: user.number)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import pytest
 from assistant_callers import Assistants
-from bundles_shown import Bundles
 from key_folders import Folders
 from network_callers import Network
 from planted_holes import HOLES, ROOT, noticed
 from portal_rules import Portals
 from security_table import PAGE, Cell, cells, page, ways
 from service_callers import Services
+from signed_bundles import Bundles
 from socket_users import Users
 
 from lfield.mission import bundle

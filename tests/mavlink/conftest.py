@@ -92,8 +92,8 @@ class Bench(DriverBench):
         for fake in self.fakes.values() if set_up else ():
             speed = (limits or {}).get("speed")
             own = (options or {}).get("station") or station(fake.system)
-            wanted = set_up_for(flavour, vehicle.name, safe_state, ttl, speed, station=own)
-            fake.autopilot.parameters.update(wanted)
+            expected = set_up_for(flavour, vehicle.name, safe_state, ttl, speed, station=own)
+            fake.autopilot.parameters.update(expected)
             fake.autopilot.apply_parameters()
         self.autopilot = self.fakes[systems[0]].autopilot
         self.sent: list[bytes] = []
@@ -101,13 +101,13 @@ class Bench(DriverBench):
         self.refused: set[int] = set()
         #: Delivers a packet of a fake to the driver; a test may replace it.
         self.filter: Callable[[MemoryLink, bytes], None] = lambda link, packet: link.on_data(packet)
-        given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
+        settings = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
         bindings = [
             bind(
                 PLUGIN, agent=f"a{system}", field="fc", safe_state=safe_state,
                 endpoint=endpoint or ", ".join(f"udp:127.0.0.1:{port}" for port in range(1, links + 1)),
                 ttl=ttl,
-                limits=limits or {}, options={**given, "system": system}, waivers=list(waivers),
+                limits=limits or {}, options={**settings, "system": system}, waivers=list(waivers),
                 frame=frame,
             )
             for system in systems

@@ -258,20 +258,20 @@ def test_an_entry_that_fits_nothing_is_reported_at_its_place(
     with pytest.raises(ProgramError) as error:
         site.read(f"# first line\n{text}\n")
     (finding,) = error.value.diagnostics
-    shown = finding.render().splitlines()
+    lines = finding.render().splitlines()
     column = text.rindex(drawn) + 1 if drawn else text.index(": }") + 3
-    assert shown[0].startswith(f"{site.folder}/mission.access.yaml:2:{column}: error[Y1")
-    assert said in shown[0]
-    assert shown[2].index("^") == 4 + column - 1
-    assert hint in shown[-1]
+    assert lines[0].startswith(f"{site.folder}/mission.access.yaml:2:{column}: error[Y1")
+    assert said in lines[0]
+    assert lines[2].index("^") == 4 + column - 1
+    assert hint in lines[-1]
 
 
 def test_all_mistakes_are_reported_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = "people: {a: [b, c]}\ncoordinators:\n  x: {}\n  boss: {Arm: [no, home, nor], y: all}\n"
     assert main(["check", str(deployed(tmp_path, text))]) == 65
-    told = capsys.readouterr().err
-    assert told.count("error[Y113]") == 6
-    assert "6 errors" in told
+    output = capsys.readouterr().err
+    assert output.count("error[Y113]") == 6
+    assert "6 errors" in output
     assert main(["build", str(tmp_path / "mission.dL")]) == 65
     assert capsys.readouterr().err.count("error[Y113]") == 6
 

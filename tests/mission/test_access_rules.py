@@ -125,8 +125,8 @@ def test_any_rules_of_a_bundle_allow_a_call_or_refuse_it_with_the_rule(
     callers: list[CallerRule], coordinator: SimpleNamespace, resource: SimpleNamespace, portal: str
 ) -> None:
     rules = decode_access(encode_access(access(*callers)))
-    told = rules.refusal(coordinator, resource, portal)
-    assert not told or f"{FILE}:" in told
+    reason = rules.refusal(coordinator, resource, portal)
+    assert not reason or f"{FILE}:" in reason
     # One more line for this resource allows the call, with any other lines.
     let_in = CallerRule("agent", coordinator.id, 1, (PortalRule("agent", resource.id, 2, (portal,)),))
     assert access(let_in, *callers).refusal(coordinator, resource, portal) == ""
@@ -177,8 +177,8 @@ def test_the_rule_that_removes_a_right_is_named() -> None:
 
 
 def test_all_removed_rights_are_listed() -> None:
-    taken = PEOPLE.denied_rights(person(ALL_RIGHTS, "carl"))
-    assert taken == {Right.OPERATE: PEOPLE.why_not(person(ALL_RIGHTS, "carl"), Right.OPERATE)}
+    denied = PEOPLE.denied_rights(person(ALL_RIGHTS, "carl"))
+    assert denied == {Right.OPERATE: PEOPLE.why_not(person(ALL_RIGHTS, "carl"), Right.OPERATE)}
     assert (
         PEOPLE.denied_rights(person(frozenset({Right.STOP}), "bob"))
         == NO_RULES.denied_rights(person(ALL_RIGHTS))
@@ -187,8 +187,8 @@ def test_all_removed_rights_are_listed() -> None:
 
 
 def test_people_rules_apply_only_to_persons() -> None:
-    for who in (Identity("local", "bob", ALL_RIGHTS), Identity("host", "bob", ALL_RIGHTS), ANONYMOUS):
-        assert PEOPLE.restrict(who) is who
+    for identity in (Identity("local", "bob", ALL_RIGHTS), Identity("host", "bob", ALL_RIGHTS), ANONYMOUS):
+        assert PEOPLE.restrict(identity) is identity
     assert NO_RULES.restrict(person(ALL_RIGHTS)).may == ALL_RIGHTS
 
 

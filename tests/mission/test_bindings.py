@@ -197,20 +197,20 @@ def test_joints_and_their_calibration_are_checked(written, tmp_path, old, new, d
 
 
 def test_an_unbound_device_is_reported(written, plugins):
-    told = problems(written("agents: {alpha: {}}\n"), plugins)
-    assert "alpha.fc (Mavlink) is not bound in" in told
-    assert "beta.fc (Mavlink) is not bound in" in told
+    findings = problems(written("agents: {alpha: {}}\n"), plugins)
+    assert "alpha.fc (Mavlink) is not bound in" in findings
+    assert "beta.fc (Mavlink) is not bound in" in findings
     assert "alpha.fc (Mavlink) is not bound and there is no devices file" in problems(None, plugins)
 
 
 def test_a_device_type_without_a_driver_is_reported(plugins):
-    told = problems(None, plugins, {"alpha": {"arm": "Robot"}}, simulate=True)
-    assert told == "alpha.arm: no installed driver provides a Robot (device types installed: Mavlink)"
+    findings = problems(None, plugins, {"alpha": {"arm": "Robot"}}, simulate=True)
+    assert findings == "alpha.arm: no installed driver provides a Robot (device types installed: Mavlink)"
 
 
 def test_a_driver_of_another_type_is_reported(written, plugins):
-    told = problems(written(GOOD), plugins, {**NEEDED, "alpha": {"fc": "Servo"}})
-    assert "driver 'mavlink' provides a Mavlink, but fc is a Servo" in told
+    findings = problems(written(GOOD), plugins, {**NEEDED, "alpha": {"fc": "Servo"}})
+    assert "driver 'mavlink' provides a Mavlink, but fc is a Servo" in findings
 
 
 def test_simulation_needs_no_file(plugins):
@@ -301,10 +301,10 @@ def test_the_behaviour_without_a_policy_is_read(written, plugins):
     ],
 )
 def test_an_invalid_behaviour_without_a_policy_is_reported_at_its_place(written, plugins, written_as, words):
-    told = problems(written(WITHOUT_POLICY.format(written_as)), plugins, {"alpha": {"fc": "Mavlink"}})
-    assert words in told
-    assert "m.devices.yaml:4:" in told
-    assert "^" in told
+    findings = problems(written(WITHOUT_POLICY.format(written_as)), plugins, {"alpha": {"fc": "Mavlink"}})
+    assert words in findings
+    assert "m.devices.yaml:4:" in findings
+    assert "^" in findings
 
 
 def test_a_deployment_is_checked_with_the_devices_file_beside_it(tmp_path):
@@ -459,9 +459,9 @@ def test_stations_of_all_endpoints_are_compared(written, plugins, lead, other, t
     lines = [f"  {agent}: {{devices: {{fc: {device}}}}}\n" for agent, device in agents.items()]
     path = written("agents:\n" + "".join(lines))
     if told:
-        said = problems(path, plugins)
-        assert told in said
-        assert "choose another by 'station: ID'" in said
+        findings = problems(path, plugins)
+        assert told in findings
+        assert "choose another by 'station: ID'" in findings
         assert read_bindings(path, NEEDED, plugins, simulate=True)
     else:
         assert read_bindings(path, NEEDED, plugins)

@@ -155,10 +155,10 @@ def test_invalid_stated_attributes_are_refused(rich: Mission, wrong: dict[str, o
 
 
 def reason(data: bytes) -> str:
-    with pytest.raises(BundleError) as caught:
+    with pytest.raises(BundleError) as error:
         bundle.decode(data)
-    assert caught.value.exit_status == 65
-    return str(caught.value)
+    assert error.value.exit_status == 65
+    return str(error.value)
 
 
 def test_other_files_are_refused(data: bytes) -> None:
@@ -169,9 +169,9 @@ def test_other_files_are_refused(data: bytes) -> None:
 
 def test_a_bundle_of_another_version_is_refused_with_both(data: bytes) -> None:
     newer = data[:4] + (bundle.VERSION + 1).to_bytes(2, "little") + data[6:]
-    told = reason(newer)
-    assert f"has format {bundle.VERSION + 1}, this lfield reads format {bundle.VERSION}" in told
-    assert "install the version of lfield that built it" in told
+    text = reason(newer)
+    assert f"has format {bundle.VERSION + 1}, this lfield reads format {bundle.VERSION}" in text
+    assert "install the version of lfield that built it" in text
 
 
 @given(st.data())
@@ -226,8 +226,8 @@ def test_a_cancel_without_an_instruction_is_refused(data: bytes, word: str) -> N
     drivers = bytes(bundle.contents(data).parts["drivers"])
     old, new = (msgspec.msgpack.encode({"cancel": name})[1:] for name in ("stop", word))
     assert old in drivers
-    told = reason(sealed(data, drivers=drivers.replace(old, new)))
-    assert "Dynamixel has no instruction for the cancel of moveTo, moveUntil" in told
+    text = reason(sealed(data, drivers=drivers.replace(old, new)))
+    assert "Dynamixel has no instruction for the cancel of moveTo, moveUntil" in text
 
 
 def test_a_table_of_other_parts_is_refused(data: bytes) -> None:

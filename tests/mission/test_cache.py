@@ -165,9 +165,9 @@ def test_mistakes_in_files_are_reported_by_the_build_process(
 ) -> None:
     deploy = write_rich(tmp_path / "here")
     deploy.with_suffix(".capabilities.yaml").write_text(CAPABILITIES.replace("hoist", "rise"))
-    with pytest.raises(BuildFailed) as caught, cached_bundle(BuildRequest(deploy)):
+    with pytest.raises(BuildFailed) as error, cached_bundle(BuildRequest(deploy)):
         pytest.fail("there is nothing to run")
-    assert caught.value.status == 65
+    assert error.value.status == 65
     assert "error[C" in capfd.readouterr().err
     assert list(folder.iterdir()) == []
 
@@ -181,15 +181,15 @@ def test_the_oldest_bundles_are_removed(
     bytes_of(first)
     for path in folder.iterdir():
         os.utime(path, (1.0, 1.0))
-    killed, busy, begun = (folder / f"building-{name}" for name in ("killed", "busy", "begun"))
-    for workshop in (killed, busy, begun):
+    killed, busy, started = (folder / f"building-{name}" for name in ("killed", "busy", "begun"))
+    for workshop in (killed, busy, started):
         workshop.mkdir(0o700)
         (workshop / "inputs").touch()
     for workshop in (killed, busy):
         os.utime(workshop, (time.time() - 100.0,) * 2)
     with lock_private_folder(busy):
         bytes_of(second)
-    assert [workshop.exists() for workshop in (killed, busy, begun)] == [False, True, True]
+    assert [workshop.exists() for workshop in (killed, busy, started)] == [False, True, True]
     assert len(list(folder.glob("*.lfm"))) == len(list(folder.glob("*.made"))) == 1
     assert (folder / f"{second.key}.made").exists()
 
@@ -218,11 +218,11 @@ def test_a_damaged_bundle_gets_no_other_bindings(tmp_path: Path) -> None:
     with pytest.raises(BundleError):
         bundle.read(file)
     with (
-        pytest.raises(BuildFailed) as caught,
+        pytest.raises(BuildFailed) as error,
         cached_bundle(BuildRequest(file, devices=tmp_path / "none.yaml")),
     ):
         pytest.fail("there is nothing to run")
-    assert caught.value.status == 65
+    assert error.value.status == 65
 
 
 def test_a_user_without_a_home_has_no_cache(monkeypatch):

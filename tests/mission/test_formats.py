@@ -42,7 +42,7 @@ def test_a_program_file_of_an_earlier_release_runs(path: Path) -> None:
     mission = load_mission(FORMATS / "hello.dL", path)
     out, log = io.StringIO(), io.StringIO()
 
-    async def story() -> str:
+    async def scenario() -> str:
         loop = asyncio.get_running_loop()
         network = MemoryNetwork(LoopClock(), on_pending=lambda: loop.call_soon(network.step))
         hosts = [
@@ -57,13 +57,13 @@ def test_a_program_file_of_an_earlier_release_runs(path: Path) -> None:
         ]
         try:
             await asyncio.gather(*(host.start() for host in hosts))
-            (fate,) = await wait_until_done(hosts[1], 30.0)
+            (outcome,) = await wait_until_done(hosts[1], 30.0)
         finally:
             for host in hosts:
                 await host.stop()
-        return fate.outcome
+        return outcome.outcome
 
-    assert run_jumping(story()) == "died"
+    assert run_jumping(scenario()) == "died"
     assert "boss: lifting 3.0" in log.getvalue()
     assert "LimitException: too heavy: 3.0\n    at Arm.lift (hello.L:12) in left" in log.getvalue()
 
@@ -84,8 +84,8 @@ def test_a_dump_of_an_earlier_release_is_explained(path: Path) -> None:
     assert program.units["Loader"] == "coordinator"
     assert block.trail() == [1, 0]
     # The proxies of that release have no field for a start.
-    shown = view(block, program, record.members).threads[0].frames[0].locals
-    assert dict(shown)["arm"] == "proxy of left"
+    frame_locals = view(block, program, record.members).threads[0].frames[0].locals
+    assert dict(frame_locals)["arm"] == "proxy of left"
 
 
 def test_a_later_dump_is_refused_with_both_versions() -> None:
@@ -126,9 +126,9 @@ def test_a_host_of_another_release_is_refused_with_both_versions(path: Path) -> 
     assert isinstance(message, IncompatibleHello)
     with pytest.raises(
         HandshakeError, match=f"bravo uses protocol {PROTOCOL} and its peer protocol 3"
-    ) as told:
+    ) as error:
         Handshake(Hello("host", "bravo", 1), ALPHA, hosts=("alpha", "bravo")).receive(message)
-    assert len(str(told.value)) < MAX_TEXT
+    assert len(str(error.value)) < MAX_TEXT
 
 
 def test_mission_files_of_0_3_are_valid() -> None:

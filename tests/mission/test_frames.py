@@ -74,13 +74,13 @@ def test_without_a_frame_no_device_has_one(reading):
 
 
 def test_a_vehicle_without_a_place_in_the_teams_frame_is_refused(reading, wrong):
-    said = wrong(DEVICES)
+    finding = wrong(DEVICES)
     assert (
         "beta.fc (Mavlink) reports positions, but their place in the team's frame is unknown: give beta or"
-        in said
+        in finding
     )
-    assert "or give the team an origin" in said
-    assert "alpha" not in said
+    assert "or give the team an origin" in finding
+    assert "alpha" not in finding
     unbound = DEVICES.partition("  beta:")[0]
     assert "beta.fc (Mavlink) reports positions" in wrong(unbound, simulate=True)
 

@@ -40,13 +40,13 @@ def write(folder: Path, start: str = "") -> Path:
 def test_mistakes_in_the_start_section_are_reported_at_their_place(
     tmp_path: Path, written: str, told: str, hint: str
 ) -> None:
-    with pytest.raises(BindingError) as caught:
+    with pytest.raises(BindingError) as error:
         load_mission(write(tmp_path, written))
-    (said,) = caught.value.problems
-    assert told in said
-    assert "m.devices.yaml:1:" in said
-    assert "error[Y11" in said
-    assert hint in said
+    (finding,) = error.value.problems
+    assert told in finding
+    assert "m.devices.yaml:1:" in finding
+    assert "error[Y11" in finding
+    assert hint in finding
 
 
 def test_the_start_section_is_in_the_bundle_and_its_digest(tmp_path: Path) -> None:

@@ -40,9 +40,9 @@ def write(tmp_path: Path) -> Write:
 
 
 def wrong(deploy: Path) -> str:
-    with pytest.raises(BindingError) as told:
+    with pytest.raises(BindingError) as error:
         load_mission(deploy)
-    return "\n".join(told.value.problems)
+    return "\n".join(error.value.problems)
 
 
 def test_all_hosts_are_members_unless_some_are_named(write: Write) -> None:
@@ -98,10 +98,10 @@ def test_of_more_than_nine_hosts_members_must_be_named(write: Write) -> None:
 def test_mistakes_in_the_recovery_section_are_reported_at_their_place(
     write: Write, written: str, told: str
 ) -> None:
-    said = wrong(write(3, f"recovery: {written}"))
-    assert told in said
-    assert "m.devices.yaml:1:" in said
-    assert "^" in said
+    finding = wrong(write(3, f"recovery: {written}"))
+    assert told in finding
+    assert "m.devices.yaml:1:" in finding
+    assert "^" in finding
 
 
 def test_no_device_outlives_a_lease(tmp_path: Path) -> None:

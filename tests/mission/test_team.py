@@ -14,34 +14,34 @@ def team(text: str) -> Team:
 
 
 def test_hosts_are_found_by_name() -> None:
-    made = team("//Arm:a@olive\n//Arm:b@ficus")
-    assert made.find_host("ficus") == "ficus"
+    members = team("//Arm:a@olive\n//Arm:b@ficus")
+    assert members.find_host("ficus") == "ficus"
     with pytest.raises(UsageError, match=r"no host 'oliv': it has olive and ficus; did you mean 'olive'"):
-        made.find_host("oliv")
+        members.find_host("oliv")
 
 
 def test_hosts_have_addresses() -> None:
-    made = team("//Arm:a@olive\n//Arm:b@ficus:9000")
-    assert made.addresses_by_host == {"olive": "olive:8181", "ficus": "ficus:9000"}
-    moved = made.at({"olive": "10.0.0.1:1", "nobody": "10.0.0.2:2"})
+    members = team("//Arm:a@olive\n//Arm:b@ficus:9000")
+    assert members.addresses_by_host == {"olive": "olive:8181", "ficus": "ficus:9000"}
+    moved = members.at({"olive": "10.0.0.1:1", "nobody": "10.0.0.2:2"})
     assert moved.addresses == ("10.0.0.1:1", "ficus:9000")
-    assert moved.deployment == made.deployment
+    assert moved.deployment == members.deployment
 
 
 def test_a_witness_is_a_host_without_agents() -> None:
-    made = team("//@elm:9000\n//Arm:a@olive\n//Arm:b@ficus\n//@oak")
-    assert made.hosts == ("olive", "ficus", "elm", "oak")
-    assert made.addresses_by_host["elm"] == "elm:9000"
-    assert [(m.id, m.number, m.host) for m in made.members] == [("a", 0, 0), ("b", 1, 1)]
-    assert not made.members_on(made.number("elm"))
-    assert team_of(made.rows, {"Arm": "resource"}, {}).deployment == made.deployment
+    members = team("//@elm:9000\n//Arm:a@olive\n//Arm:b@ficus\n//@oak")
+    assert members.hosts == ("olive", "ficus", "elm", "oak")
+    assert members.addresses_by_host["elm"] == "elm:9000"
+    assert [(m.id, m.number, m.host) for m in members.members] == [("a", 0, 0), ("b", 1, 1)]
+    assert not members.members_on(members.number("elm"))
+    assert team_of(members.rows, {"Arm": "resource"}, {}).deployment == members.deployment
 
 
 def test_maps_are_parsed() -> None:
-    made = team("//Arm:a@olive")
-    assert parse_maps(["olive=10.0.0.1:1"], made) == {"olive": "10.0.0.1:1"}
+    members = team("//Arm:a@olive")
+    assert parse_maps(["olive=10.0.0.1:1"], members) == {"olive": "10.0.0.1:1"}
     for word in ("olive", "olive=10.0.0.1", "olive=10.0.0.1:0", "olive=:1", "olive=x:70000"):
         with pytest.raises(UsageError, match="write it as NAME=ADDR:PORT"):
-            parse_maps([word], made)
+            parse_maps([word], members)
     with pytest.raises(UsageError, match="has no host 'ficus'"):
-        parse_maps(["ficus=10.0.0.1:1"], made)
+        parse_maps(["ficus=10.0.0.1:1"], members)

@@ -5,7 +5,7 @@ import asyncio
 from lfield.net.tcp_transport import TcpTransport
 from lfield.testing.transport_kit import MAX_BLOCK
 
-PATIENCE = 60.0
+TIMEOUT = 60.0
 
 
 class LoopBench:
@@ -36,7 +36,7 @@ class LoopBench:
 
     def until(self, done) -> None:
         async def poll() -> None:
-            async with asyncio.timeout(PATIENCE):
+            async with asyncio.timeout(TIMEOUT):
                 while not done():
                     await asyncio.sleep(self.interval)
 

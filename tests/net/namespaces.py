@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 
 #: Seconds until a test fails; a busy computer may be slow.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 PEER = Path(__file__).with_name("peer.py")
 
 
-def command(*words: str) -> None:
-    subprocess.run(words, check=True, capture_output=True)
+def command(*arguments: str) -> None:
+    subprocess.run(arguments, check=True, capture_output=True)
 
 
 def can_be_made() -> bool:
@@ -67,21 +67,21 @@ class Process:
             return next((line for line in self.lines[since:] if re.search(pattern, line)), None)
 
         with self._changed:
-            self._changed.wait_for(found, PATIENCE)
+            self._changed.wait_for(found, TIMEOUT)
             line = found()
         assert line, "\n".join([f"no line matches {pattern!r}:", *self.lines])
         return float(line.split()[0])
 
     def kill(self) -> None:
         self._popen.send_signal(signal.SIGKILL)
-        self._popen.wait(PATIENCE)
+        self._popen.wait(TIMEOUT)
 
     def end(self) -> None:
         if self._popen.poll() is None:
             self.kill()
         assert self._popen.stdin is not None
         self._popen.stdin.close()
-        self._reader.join(PATIENCE)
+        self._reader.join(TIMEOUT)
         assert self._popen.stdout is not None
         self._popen.stdout.close()
 
@@ -112,8 +112,8 @@ class Network:
     def _etc(self, host: str) -> Path:
         return Path("/etc/netns") / self._named(host)
 
-    def _ip(self, namespace: str, *words: str) -> None:
-        command("ip", "-n", namespace, *words)
+    def _ip(self, namespace: str, *arguments: str) -> None:
+        command("ip", "-n", namespace, *arguments)
 
     def plug_in(self, host: str) -> None:
         """Give a computer an interface at the switch."""
@@ -151,12 +151,12 @@ class Network:
 
     def start(self, host: str, *places: str) -> Process:
         """Start the links of a host; `places` are NAME=ADDRESS."""
-        words = [sys.executable, str(PEER), host, str(self._keys), *places]
-        return self.run(host, *words)
+        arguments = [sys.executable, str(PEER), host, str(self._keys), *places]
+        return self.run(host, *arguments)
 
-    def run(self, host: str, *words: str) -> Process:
+    def run(self, host: str, *arguments: str) -> Process:
         """Run a program on a computer."""
-        process = Process(["ip", "netns", "exec", self._named(host), *words])
+        process = Process(["ip", "netns", "exec", self._named(host), *arguments])
         self._processes.append(process)
         return process
 

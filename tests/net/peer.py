@@ -66,12 +66,12 @@ async def main(here: str, keys: str, *places: str) -> None:
     owner = Owner(here, [name for name in names if name != here])
     transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(Path(keys) / here, "host")))
     transport.note = owner.note
-    clock, dice = SystemClock(), random.Random()
+    clock, rng = SystemClock(), random.Random()
     peers = LinkManager(
         owner,
         transport,
         clock,
-        dice,
+        rng,
         TeamAddresses(numbers, list(addresses.values()), numbers[here], set(names) - {here}),
     )
     say(f"listens {await peers.open(addresses[here])}")

@@ -91,8 +91,8 @@ def test_a_peer_that_is_not_admitted_gets_only_the_reason():
 
 
 def test_a_host_must_use_the_name_in_its_certificate():
-    why = refused(handshake(who=host("c")), host_hello("b"))
-    assert why.startswith(
+    reason = refused(handshake(who=host("c")), host_hello("b"))
+    assert reason.startswith(
         "host c calls itself b; the name in its certificate must be its name in the deploym"
     )
     assert refused(handshake(who=host("b")), host_hello("b")) == ""
@@ -102,8 +102,8 @@ def test_a_host_must_use_the_name_in_its_certificate():
     ("who", "name"), [(person(*ALL_RIGHTS), "anna"), (local(*ALL_RIGHTS), "user bob of this computer")]
 )
 def test_a_peer_without_a_host_certificate_is_not_accepted_as_a_host(who, name):
-    why = refused(handshake(who=who), host_hello("b"))
-    assert why == f"a accepts hosts by certificate, and {name} may only send commands"
+    reason = refused(handshake(who=who), host_hello("b"))
+    assert reason == f"a accepts hosts by certificate, and {name} may only send commands"
 
 
 ID = bytes(16)
@@ -119,8 +119,8 @@ def test_each_message_requires_exactly_its_right(message, right):
     for make in (person, local):
         assert refused(observing(make(right)), message) == ""
         others = ALL_RIGHTS - {right}
-        why = refused(observing(make(*others)), message)
-        assert f"and this takes the right to {right}" in why
+        reason = refused(observing(make(*others)), message)
+        assert f"and this takes the right to {right}" in reason
     assert refused(observing(person(*ALL_RIGHTS)), message) == ""
 
 
@@ -138,25 +138,25 @@ def test_a_missing_right_is_named_with_the_way_to_get_it():
 
 
 def test_hosts_with_different_bundles_of_one_program_do_not_link():
-    ours, theirs = host_hello("a", bundle=b"1" * 32), host_hello("b", bundle=b"2" * 32)
+    ours, remote = host_hello("a", bundle=b"1" * 32), host_hello("b", bundle=b"2" * 32)
     machine = Handshake(ours, host("b"), hosts=HOSTS)
-    why = refused(machine, theirs)
-    assert why.startswith(
+    reason = refused(machine, remote)
+    assert reason.startswith(
         "a runs bundle 3131313131313131 and b runs bundle 3232323232323232: copy one of the two to both"
     )
-    assert "--devices" in why
+    assert "--devices" in reason
     # A host that runs files has no bundle that others could have, and an observer runs none.
     for other in (ours, host_hello("b"), OBSERVER_HELLO, host_hello("b", bundle=b"1" * 32)):
         if other is not ours:
             assert refused(Handshake(ours, host("b"), hosts=HOSTS), other) == ""
-    assert refused(Handshake(host_hello("a"), host("b"), hosts=HOSTS), theirs) == ""
-    assert refused(Handshake(OBSERVER_HELLO, host("b"), dialled="b"), theirs) == ""
+    assert refused(Handshake(host_hello("a"), host("b"), hosts=HOSTS), remote) == ""
+    assert refused(Handshake(OBSERVER_HELLO, host("b"), dialled="b"), remote) == ""
 
 
 def test_both_bundles_are_named_where_their_programs_differ():
-    ours, theirs = host_hello("a", bundle=b"1" * 32), host_hello("b", bundle=b"2" * 32, program=b"q" * 32)
+    ours, remote = host_hello("a", bundle=b"1" * 32), host_hello("b", bundle=b"2" * 32, program=b"q" * 32)
     machine = Handshake(ours, host("b"), hosts=HOSTS)
-    assert refused(machine, theirs).startswith(
+    assert refused(machine, remote).startswith(
         "a runs bundle 3131313131313131 and b runs bundle 3232323232323232, which differ in their program"
     )
     assert machine.refused_bundle == b"2" * 32
@@ -167,8 +167,8 @@ def test_both_bundles_are_named_where_their_programs_differ():
 
 
 def test_a_local_user_without_rights_is_refused_before_the_hello():
-    why = refused(handshake(who=local()))
-    assert why.startswith("user bob of this computer has no permission here: join the group 'lfield'")
+    reason = refused(handshake(who=local()))
+    assert reason.startswith("user bob of this computer has no permission here: join the group 'lfield'")
 
 
 def test_an_observing_host_may_only_observe_and_stop():
@@ -182,8 +182,8 @@ def test_a_person_with_an_expired_certificate_may_only_observe_and_stop():
     verdict = AdmissionDecision("finish", "the certificate of anna ended 2026-11-23 20:00 UTC")
     assert refused(observing(person(*ALL_RIGHTS), verdict), STOP) == ""
     assert refused(observing(person(*ALL_RIGHTS), verdict), Subscribe(once=True)) == ""
-    why = refused(observing(person(*ALL_RIGHTS), verdict), LIFT)
-    assert why == f"{verdict.reason}; until then anna may only observe and stop"
+    reason = refused(observing(person(*ALL_RIGHTS), verdict), LIFT)
+    assert reason == f"{verdict.reason}; until then anna may only observe and stop"
 
 
 BATCH = EventBatch(7, 1, 0.0, 0.0, 0, 0, [])
@@ -204,8 +204,8 @@ def test_any_authenticated_peer_may_send_a_revocation_list():
 
 
 def test_a_command_accepts_only_the_host_that_it_dialled():
-    for who in (host("b"), local(*ALL_RIGHTS)):
-        assert refused(Handshake(OBSERVER_HELLO, who, dialled="b"), host_hello("b")) == ""
+    for identity in (host("b"), local(*ALL_RIGHTS)):
+        assert refused(Handshake(OBSERVER_HELLO, identity, dialled="b"), host_hello("b")) == ""
     assert "b answered at the address of c" in refused(
         Handshake(OBSERVER_HELLO, host("b"), dialled="c"), host_hello("b")
     )
@@ -253,16 +253,16 @@ def test_a_second_link_of_the_same_incarnation_is_accepted():
 )
 def test_both_sides_report_the_reason_of_a_refusal(message, sentence):
     machine = handshake(dialled="b", who=host(getattr(message, "host", "b")))
-    with pytest.raises(HandshakeError, match=sentence) as caught:
+    with pytest.raises(HandshakeError, match=sentence) as error:
         machine.receive(message)
     assert machine.refusal is not None
-    assert machine.refusal.reason in str(caught.value)
+    assert machine.refusal.reason in str(error.value)
     assert machine.peer is None
-    theirs = Handshake(host_hello("b"), host("a"), hosts=HOSTS, dialled="a")
+    remote = Handshake(host_hello("b"), host("a"), hosts=HOSTS, dialled="a")
     with pytest.raises(HandshakeError, match=sentence) as told:
-        theirs.receive(machine.refusal)
+        remote.receive(machine.refusal)
     assert str(told.value).startswith("a refused the connection: ")
-    assert theirs.refusal is None
+    assert remote.refusal is None
 
 
 @pytest.mark.parametrize(("ours", "theirs"), [("fakes", "hardware"), ("hardware", "fakes")])
@@ -285,12 +285,12 @@ def test_hosts_without_devices_and_observers_join_either_kind(theirs):
 
 
 def test_hosts_with_different_origins_do_not_join():
-    ours, theirs = "47.3977420, 8.5455940 at 488.00 m", "47.0000000, 8.0000000 at 400.00 m"
-    for mine, yours in ((ours, theirs), (ours, ""), ("", theirs)):
-        machine = Handshake(host_hello("a", origin=mine), host("b"), hosts=HOSTS)
+    ours, remote = "47.3977420, 8.5455940 at 488.00 m", "47.0000000, 8.0000000 at 400.00 m"
+    for own, yours in ((ours, remote), (ours, ""), ("", remote)):
+        machine = Handshake(host_hello("a", origin=own), host("b"), hosts=HOSTS)
         with pytest.raises(HandshakeError, match=r"give both the same 'frame: \{origin") as told:
             machine.receive(host_hello(origin=yours))
-        assert f"a counts places from {mine or 'each home'} and b from {yours or 'each home'}" in str(
+        assert f"a counts places from {own or 'each home'} and b from {yours or 'each home'}" in str(
             told.value
         )
     Handshake(host_hello("a", origin=ours), host("b"), hosts=HOSTS).receive(host_hello(origin=ours))
@@ -298,20 +298,20 @@ def test_hosts_with_different_origins_do_not_join():
 
 
 def test_hosts_with_different_recovery_groups_do_not_join():
-    ours, theirs = "a lease of 2 s among a, b and c", "a lease of 2 s among a, b and d"
-    for mine, yours in ((ours, theirs), (ours, ""), ("", theirs)):
-        machine = Handshake(host_hello("a", recovery=mine), host("b"), hosts=HOSTS)
+    ours, remote = "a lease of 2 s among a, b and c", "a lease of 2 s among a, b and d"
+    for own, yours in ((ours, remote), (ours, ""), ("", remote)):
+        machine = Handshake(host_hello("a", recovery=own), host("b"), hosts=HOSTS)
         with pytest.raises(
             HandshakeError, match="give both the same 'recovery' in their devices files"
         ) as told:
             machine.receive(host_hello(recovery=yours))
-        assert f"on a coordinators are recovered by {mine or 'no host'}" in str(told.value)
+        assert f"on a coordinators are recovered by {own or 'no host'}" in str(told.value)
         assert f"on b by {yours or 'no host'}" in str(told.value)
     Handshake(host_hello("a", recovery=ours), host("b"), hosts=HOSTS).receive(host_hello(recovery=ours))
     Handshake(host_hello("a", recovery=ours), host("b"), hosts=HOSTS).receive(
         host_hello("ps", role="observer")
     )
-    Handshake(host_hello("ps", role="observer"), host("b")).receive(host_hello(recovery=theirs))
+    Handshake(host_hello("ps", role="observer"), host("b")).receive(host_hello(recovery=remote))
 
 
 def test_a_second_host_of_a_name_is_refused_while_the_first_is_linked():

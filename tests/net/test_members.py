@@ -89,13 +89,13 @@ async def test_a_member_within_its_budget_precedes_one_over_it(inn, /):
 
 
 async def test_a_flood_is_reported_once_limited_and_closed_after_five_seconds(inn, /):
-    bravo, began = member(inn, "bravo"), inn.loop.time()
+    bravo, started = member(inn, "bravo"), inn.loop.time()
     await flood(inn, bravo, 20.0)
-    took = inn.loop.time() - began
+    elapsed = inn.loop.time() - started
     first, last = bravo.recorder.excesses
     assert (first.closes, last.closes) == (False, True)
-    assert MAX_EXCESS_TIME <= took <= MAX_EXCESS_TIME + 2.0
-    assert inn.work <= BURST + CPU_SHARE * took + 0.2
+    assert MAX_EXCESS_TIME <= elapsed <= MAX_EXCESS_TIME + 2.0
+    assert inn.work <= BURST + CPU_SHARE * elapsed + 0.2
     assert bravo.link.closed
     bravo.link.connection_lost(None)
     (end,) = bravo.recorder.ends
@@ -106,23 +106,23 @@ async def test_a_flood_is_reported_once_limited_and_closed_after_five_seconds(in
 
 async def test_small_messages_are_charged_in_units(inn, /):
     """Each message costs less than a unit; together they exceed the share of a member."""
-    bravo, began = member(inn, "bravo", CHARGE_UNIT * 0.75), inn.loop.time()
-    while not bravo.recorder.excesses and inn.loop.time() - began < 30.0:
+    bravo, started = member(inn, "bravo", CHARGE_UNIT * 0.75), inn.loop.time()
+    while not bravo.recorder.excesses and inn.loop.time() - started < 30.0:
         bravo.say(encode(Ping(1)))
         await asyncio.sleep(0.01)
     assert not bravo.recorder.excesses[0].closes
-    took = inn.loop.time() - began
-    used_up = BURST / (inn.work / took - CPU_SHARE)
-    assert used_up <= took <= used_up + 2.0, "a probe shows that the member does not wait for answers"
+    elapsed = inn.loop.time() - started
+    used_up = BURST / (inn.work / elapsed - CPU_SHARE)
+    assert used_up <= elapsed <= used_up + 2.0, "a probe shows that the member does not wait for answers"
 
 
 async def test_an_exhausted_budget_outlives_the_link(inn, /):
     bravo = member(inn, "bravo")
     await flood(inn, bravo, 20.0)
     again = member(inn, "bravo")
-    before, began = inn.work, inn.loop.time()
+    before, started = inn.work, inn.loop.time()
     await flood(inn, again, 1.0)
-    assert inn.work - before <= CPU_SHARE * (inn.loop.time() - began) + 0.1
+    assert inn.work - before <= CPU_SHARE * (inn.loop.time() - started) + 0.1
     assert not again.wire.closing
 
 
@@ -165,10 +165,10 @@ class Hops:
 @pytest.mark.few(0)
 async def test_successive_hops_are_neither_delayed_nor_closed(inn, /):
     """One coordinator whose block costs a slow computer a millisecond, as fast as possible."""
-    bravo, block, began, count = member(inn, "bravo", 1e-3), b"block", inn.loop.time(), 0
+    bravo, block, started, count = member(inn, "bravo", 1e-3), b"block", inn.loop.time(), 0
     hop = encode_transfer(replace(transfer(len(block)), agent="tom"), block) + block
     hops = Hops(inn, bravo, 1e-3)
-    while inn.loop.time() < began + 10.0:
+    while inn.loop.time() < started + 10.0:
         await hops.send(hop)
         await hops.answers("tom")
         count += 1
@@ -187,9 +187,9 @@ def large(agent: str = "tom", size: int = 20 << 10) -> bytes:
 @pytest.mark.few(0)
 async def test_large_hops_that_wait_for_answers_are_not_closed(inn, /):
     """Several coordinators at once; each is sent again after its answer."""
-    bravo, began, agents = member(inn, "bravo"), inn.loop.time(), ("tom", "ann", "eve")
+    bravo, started, agents = member(inn, "bravo"), inn.loop.time(), ("tom", "ann", "eve")
     hops = Hops(inn, bravo, 0.02)
-    while inn.loop.time() < began + 20.0:
+    while inn.loop.time() < started + 20.0:
         await hops.send(b"".join(map(large, agents)))
         await hops.answers(*agents)
         await asyncio.sleep(0.04)
@@ -200,16 +200,16 @@ async def test_large_hops_that_wait_for_answers_are_not_closed(inn, /):
 @pytest.mark.parametrize("agents", [1, 3, 40])
 async def test_endless_large_transfers_are_closed_after_five_seconds_over_budget(inn, /, agents):
     """Of one coordinator, and of several in turn."""
-    bravo, began = member(inn, "bravo"), inn.loop.time()
+    bravo, started = member(inn, "bravo"), inn.loop.time()
     hops, stream = Hops(inn, bravo, 4e-3), b"".join(large(f"c{number}") for number in range(agents))
     while await hops.send(stream):
-        assert inn.loop.time() < began + 20.0
-    assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
+        assert inn.loop.time() < started + 20.0
+    assert MAX_EXCESS_TIME <= inn.loop.time() - started <= MAX_EXCESS_TIME + 3.0
 
 
 @pytest.mark.parametrize("times", [4, 100], ids=["many", "one endless"])
 async def test_endless_oversized_blocks_are_closed_after_five_seconds_over_budget(inn, /, monkeypatch, times):
-    bravo, began, size = member(inn, "bravo"), inn.loop.time(), times * MAX_BLOCK
+    bravo, started, size = member(inn, "bravo"), inn.loop.time(), times * MAX_BLOCK
     hops, feed = Hops(inn, bravo, 0.0), TlsChannel.receive
     monkeypatch.setattr(
         TlsChannel,
@@ -221,18 +221,18 @@ async def test_endless_oversized_blocks_are_closed_after_five_seconds_over_budge
         for _ in range(times):
             if not await hops.send(bytes(MAX_BLOCK)):
                 break
-            assert inn.loop.time() < began + 20.0
+            assert inn.loop.time() < started + 20.0
         if bravo.wire.closing:
             break
-    assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
+    assert MAX_EXCESS_TIME <= inn.loop.time() - started <= MAX_EXCESS_TIME + 3.0
 
 
 async def test_long_messages_have_more_weight(inn, /):
     """A few messages of a megabyte cost as much as thousands of short ones."""
     bravo = member(inn, "bravo", 0.02)
     long = encode(Backpressure("x" * 1900)) * 3
-    began = inn.loop.time()
-    while inn.loop.time() < began + 20.0 and not bravo.wire.closing:
+    started = inn.loop.time()
+    while inn.loop.time() < started + 20.0 and not bravo.wire.closing:
         if bravo.wire.reads:
             bravo.say(long * 40)
         await asyncio.sleep(1e-3)

@@ -69,9 +69,9 @@ class Computer:
 
 def flood(computer: Computer, member: str, rate: float, cost: float, seconds: float) -> None:
     """A member sends `rate` messages a second, and does not wait for answers."""
-    began, sent = computer.now, 0
-    while computer.now < began + seconds and member not in computer.closed:
-        waiting = int((computer.now - began) * rate) - sent
+    started, sent = computer.now, 0
+    while computer.now < started + seconds and member not in computer.closed:
+        waiting = int((computer.now - started) * rate) - sent
         if waiting < 1:
             computer.now += 1 / rate
             continue
@@ -82,8 +82,8 @@ def flood(computer: Computer, member: str, rate: float, cost: float, seconds: fl
 
 def hops(computer: Computer, member: str, agents: int, cost: float, seconds: float, trip: float) -> None:
     """A member has `agents` coordinators; each is sent again after its answer."""
-    began = computer.now
-    while computer.now < began + seconds and member not in computer.closed:
+    started = computer.now
+    while computer.now < started + seconds and member not in computer.closed:
         computer.drain(member, agents, cost)
         computer.answer(member)
         computer.now += trip
@@ -100,8 +100,8 @@ def test_a_flood_is_limited_and_closed_after_five_seconds_over_budget(rate, cost
     over = computer.closed["bravo"] - reported
     assert MAX_EXCESS_TIME <= over <= MAX_EXCESS_TIME + 2 * LONGEST_HOLD
     # It has used the burst, then its ration, and at most one probe of a second in full.
-    began = 100.0
-    assert computer.spent["bravo"] <= BURST + CPU_SHARE * (computer.closed["bravo"] - began) + 1.1
+    started = 100.0
+    assert computer.spent["bravo"] <= BURST + CPU_SHARE * (computer.closed["bravo"] - started) + 1.1
 
 
 @pytest.mark.few(0)
@@ -129,8 +129,8 @@ def test_hops_are_no_flood_on_a_computer_of_any_speed(agents, cost):
 def test_large_transfers_of_several_coordinators_in_turn_are_closed():
     """The second transfer of each during a probe counts as a crowd: see tests/net/test_members.py."""
     computer, agents, cost = Computer(), 3, 0.02
-    began = computer.now
-    while computer.now < began + 30.0 and not computer.closed:
+    started = computer.now
+    while computer.now < started + 30.0 and not computer.closed:
         computer.drain("bravo", agents, cost)
         computer.drain("bravo", 1, cost, PROOF_WEIGHT)
     (_, reported), *_ = computer.reports
@@ -140,12 +140,12 @@ def test_large_transfers_of_several_coordinators_in_turn_are_closed():
 def test_a_proven_excess_is_not_forgiven_after_a_pause():
     """A member that pauses whenever its answers are withheld, for as long as a probe lasts."""
     computer, cost = Computer(), 0.01
-    began = computer.now
-    while computer.now < began + 30.0 and not computer.closed:
+    started = computer.now
+    while computer.now < started + 30.0 and not computer.closed:
         computer.drain("bravo", 50, cost)
         computer.drain("bravo", 2, cost, PROOF_WEIGHT)
         computer.answer("bravo")
-    assert MAX_EXCESS_TIME <= computer.closed["bravo"] - began <= MAX_EXCESS_TIME + 3.0
+    assert MAX_EXCESS_TIME <= computer.closed["bravo"] - started <= MAX_EXCESS_TIME + 3.0
 
 
 def test_a_crowd_is_forgiven_when_the_member_waits_for_answers():

@@ -158,15 +158,15 @@ class HostBench:
 
 @pytest.fixture(params=["unix", "tls"])
 def runner(request):
-    """Run a story at a host."""
+    """Run the steps of a test at a host."""
 
-    def run(story) -> None:
+    def run(steps) -> None:
         async def main() -> None:
-            inn = HostBench(request.param)
+            server = HostBench(request.param)
             try:
-                await story(inn)
+                await steps(server)
             finally:
-                inn.close()
+                server.close()
 
         run_jumping(main())
 
@@ -192,9 +192,9 @@ async def test_waiting_messages_are_processed_in_order_then_reading_resumes(inn,
         await asyncio.sleep(ROUND)
     assert anna.recorder.messages == [HELLO, *lines]
     await asyncio.sleep(ROUND)
-    whole = encode(STOP)
-    anna.say(whole[:7])
-    anna.say(whole[7:])
+    encoded = encode(STOP)
+    anna.say(encoded[:7])
+    anna.say(encoded[7:])
     assert anna.recorder.messages[-1] == STOP
 
 
@@ -278,13 +278,13 @@ async def test_a_link_that_closes_while_it_waits_is_removed(inn, /):
 # TLS only
 
 
-def run_tls(story) -> None:
+def run_tls(steps) -> None:
     async def main() -> None:
-        inn = HostBench("tls")
+        server = HostBench("tls")
         try:
-            await story(inn)
+            await steps(server)
         finally:
-            inn.close()
+            server.close()
 
     run_jumping(main())
 
@@ -335,12 +335,12 @@ async def test_handshakes_of_unknown_peers_get_their_share_of_each_turn(inn, /, 
     answered = [wire for _, wire in links if wire.said]
     assert 1 <= len(answered) <= 2
     assert not links[-1][1].reads
-    began, before = inn.loop.time(), inn.work
+    started, before = inn.loop.time(), inn.work
     while not all(wire.said for _, wire in links):
         turn = inn.work
         await asyncio.sleep(1e-3)
         assert inn.work - turn <= 2 * cost
-    assert inn.work - before <= HANDSHAKES * (inn.loop.time() - began) + 2 * cost
+    assert inn.work - before <= HANDSHAKES * (inn.loop.time() - started) + 2 * cost
     assert links[-1][1].reads
     for link, wire in links:
         link.connection_lost(None)

@@ -203,10 +203,10 @@ def test_a_link_is_restored_within_ten_seconds(net, case):
     # Every attempt has reached its longest pause.
     time.sleep(4.0)
     counts = len(two.a.lines), len(two.b.lines)
-    began = time.monotonic()
+    started = time.monotonic()
     works_again()
     back = [
-        process.wait_for(f" linked {other}", count) - began
+        process.wait_for(f" linked {other}", count) - started
         for process, other, count in ((two.a, "b", counts[0]), (two.b, "a", counts[1]))
     ]
     print(f"{case.__name__}: linked again after {max(back):.1f} s", *two.a.lines, *two.b.lines, sep="\n")
@@ -254,8 +254,8 @@ def test_a_udp_link_works_again_from_another_interface_with_another_address(net,
     count = len(station.lines)
     net.plug_in("a")
     net.address("a", "10.9.0.11/24")
-    began = time.monotonic()
-    back = station.wait_for("heard", count) - began
+    started = time.monotonic()
+    back = station.wait_for("heard", count) - started
     print(
         f"heard again after {back:.1f} s", *[line for line in station.lines if "heard" not in line], sep="\n"
     )
@@ -305,8 +305,8 @@ def test_mavlink_and_socketcand_addresses_keep_their_zone(request):
         for end in ("lo", "zone0", "zone1"):
             command("ip", "-n", name, "link", "set", "dev", end, "up")
         command("ip", "-n", name, "addr", "add", "fe80::7/64", "dev", "zone0", "nodad")
-        words = ["ip", "netns", "exec", name, sys.executable, "-c", ZONE]
-        done = subprocess.run(words, capture_output=True, text=True)
+        arguments = ["ip", "netns", "exec", name, sys.executable, "-c", ZONE]
+        done = subprocess.run(arguments, capture_output=True, text=True)
         assert done.stdout == "mavlink linked\nsocketcand linked\n", done.stderr
     finally:
         command("ip", "netns", "del", name)

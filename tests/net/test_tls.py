@@ -153,13 +153,13 @@ class Dials:
 
 def test_the_next_link_resumes_the_session_with_the_first_certificates():
     dials = Dials()
-    first, whole = dials.again()
+    first, full = dials.again()
     assert not first.near.is_resumed
     for _ in range(3):
         ends, size = dials.again()
         assert (ends.near.is_resumed, ends.far.is_resumed) == (True, True)
         assert (str(ends.near.identity), str(ends.far.identity)) == ("host bravo", "host alpha")
-        assert size < 0.4 * whole
+        assert size < 0.4 * full
     assert len(dials.known) == 8
     assert len(set(dials.known)) == 2
 

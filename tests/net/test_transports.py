@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from certificates import Team
-from loop_bench import PATIENCE, TcpBench
+from loop_bench import TIMEOUT, TcpBench
 
 from lfield.authority.identity import ALL_RIGHTS
 from lfield.errors import AddressError, HandshakeError, WireError
@@ -136,8 +136,8 @@ def test_the_group_of_the_folder_may_connect(unix):
 
 
 def test_an_invalid_socket_path_is_refused(unix):
-    for address, words in [("unix:here", "unix:/PATH"), (f"unix:/{'x' * 200}", "AF_UNIX path too long")]:
-        with pytest.raises(AddressError, match=words):
+    for address, text in [("unix:here", "unix:/PATH"), (f"unix:/{'x' * 200}", "AF_UNIX path too long")]:
+        with pytest.raises(AddressError, match=text):
             unix.wait(unix.listen(address, lambda link: Recorder()))
 
 
@@ -151,9 +151,9 @@ def test_an_invalid_socket_path_is_refused(unix):
     ],
 )
 def test_the_rights_of_a_local_user(user, groups, rights):
-    who = caller_identity(user, groups, 1000, 700)
-    assert (who.kind, sorted(who.may)) == ("local", rights)
-    assert caller_identity(user, groups, 1000, None).may == (who.may if user != 1001 else frozenset())
+    identity = caller_identity(user, groups, 1000, 700)
+    assert (identity.kind, sorted(identity.may)) == ("local", rights)
+    assert caller_identity(user, groups, 1000, None).may == (identity.may if user != 1001 else frozenset())
 
 
 @pytest.mark.parametrize("groups", [(1001,), (1001, 700)])
@@ -212,12 +212,12 @@ def test_a_hop_in_tls_is_one_write(tls):
 
 def test_hosts_of_two_authorities_get_no_link():
     loop = new_loop("asyncio")
-    ours, theirs = TlsBench(loop), TlsBench(loop)
+    server, other_server = TlsBench(loop), TlsBench(loop)
     called, near = Recorder(), Recorder()
-    listener = ours.wait(ours.listen("127.0.0.1:0", lambda _: called))
+    listener = server.wait(server.listen("127.0.0.1:0", lambda _: called))
     with pytest.raises(HandshakeError, match="peer certificate rejected: not signed by the CA of this team"):
-        theirs.wait(theirs.connect(listener.address, near))
-    ours.until(lambda: called.ends)
+        other_server.wait(other_server.connect(listener.address, near))
+    server.until(lambda: called.ends)
     assert "peer rejected the certificate of this host" in str(called.ends[0])
     assert near.ends == near.messages == called.messages == []
     listener.close()
@@ -233,7 +233,7 @@ def test_an_unauthenticated_peer_gets_no_reply(tls):
             raw.sendall(data)
             raw.shutdown(socket.SHUT_WR)
             tls.until(lambda: called.ends)
-            raw.settimeout(PATIENCE)
+            raw.settimeout(TIMEOUT)
             with suppress(ConnectionResetError):
                 assert raw.recv(1) == b""
     assert called.messages == []
@@ -287,7 +287,7 @@ def test_a_dial_that_is_cancelled_in_the_handshake_closes_its_connection():
         dial = asyncio.ensure_future(bench.connect(address, Recorder()))
         await received.wait()
         dial.cancel()
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(TIMEOUT):
             await ended.wait()
         server.close()
 

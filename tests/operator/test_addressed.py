@@ -29,8 +29,8 @@ TEAM = team_of(ROWS, {"Post": "resource"}, {"bravo": 9})
 def run(id: str, *here: str, team=TEAM, file="/m/tour.dL", **addresses: str) -> Run:
     """A run of some hosts of a team with these addresses."""
     reached = team.addresses_by_host | addresses
-    doors = {host: f"{host}.sock" for host in here}
-    return Run(Path(f"/run/{id}"), RunManifest(file, team.deployment.hex(), 7, 1.0, 60.0, reached, doors))
+    sockets = {host: f"{host}.sock" for host in here}
+    return Run(Path(f"/run/{id}"), RunManifest(file, team.deployment.hex(), 7, 1.0, 60.0, reached, sockets))
 
 
 ONE, TWO = run("tour-00000001", "alpha", "bravo"), run("tour-00000002", "alpha", "bravo")
@@ -165,9 +165,9 @@ def test_a_claimed_run_does_not_replace_the_address_of_a_host():
 
 def test_a_claimed_run_does_not_replace_hosts_of_a_named_mission():
     false = claimed("tour-00000002", "alpha", "bravo")
-    (team, beside) = targets_of_team(TEAM, [false], ["alpha=10.0.0.9:1"])
+    (team, extra) = targets_of_team(TEAM, [false], ["alpha=10.0.0.9:1"])
     assert (team.user, dict(team.addresses)) == ("", {"alpha": "10.0.0.9:1", "bravo": "bravo:9"})
-    assert (beside.user, list(beside.addresses)) == ("mallory", ["bravo"])
+    assert (extra.user, list(extra.addresses)) == ("mallory", ["bravo"])
 
 
 def test_a_claimed_run_with_the_same_id_keeps_its_own_answers():
@@ -182,9 +182,9 @@ def test_a_claimed_run_with_the_same_id_keeps_its_own_answers():
 
 def test_remote_addresses_of_a_run_are_not_asked_for_another_user():
     alpha, other = run("tour-00000001", "alpha"), claimed("tour-00000002", "alpha")
-    (own, beside) = targets_of_runs([alpha, other])
+    (own, other_target) = targets_of_runs([alpha, other])
     assert list(own.addresses) == ["alpha", "bravo"]
-    assert list(beside.addresses) == ["alpha"]
+    assert list(other_target.addresses) == ["alpha"]
 
 
 def test_runs_of_one_other_user_are_one_team_and_of_two_users_are_two():

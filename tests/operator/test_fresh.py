@@ -32,8 +32,8 @@ OWNER = JournalOwner("harvest", "alpha", "this computer")
 
 
 def batch(*known: CoordinatorState, parked: tuple[ParkedStatus, ...] = ()) -> EventBatch:
-    said = Status("bravo", "", 0.0, b"", b"", [], list(known), [], [], [])
-    return batch_of(replace(said, journal=JournalStatus(0, "", list(parked))))
+    output = Status("bravo", "", 0.0, b"", b"", [], list(known), [], [], [])
+    return batch_of(replace(output, journal=JournalStatus(0, "", list(parked))))
 
 
 def plan(pages, answers):
@@ -93,13 +93,13 @@ def test_a_coordinator_parked_elsewhere_is_discarded_but_its_shadow_is_no_proof(
 def test_a_coordinator_parked_elsewhere_is_forgotten_there_or_nothing_changes(
     tmp_path, monkeypatch, capsys, reached
 ):
-    file, asked = tmp_path / "host.journal", []
+    file, requests = tmp_path / "host.journal", []
     parked = batch(parked=(ParkedStatus("scout", 2, 6, b"q" * 32, "RUN", ""),))
 
     async def ask_all(transport, addresses, request):
-        asked.append((addresses, request.message))
-        heard = ForgetResponse([2]) if reached else AddressError("b:1", "no answer within 8 s")
-        return dict.fromkeys(addresses, parked if request is SNAPSHOT else heard)
+        requests.append((addresses, request.message))
+        answer = ForgetResponse([2]) if reached else AddressError("b:1", "no answer within 8 s")
+        return dict.fromkeys(addresses, parked if request is SNAPSHOT else answer)
 
     monkeypatch.setattr("lfield.operator.client.ask_all", ask_all)
     kept(file, AWAY)
@@ -112,7 +112,7 @@ def test_a_coordinator_parked_elsewhere_is_forgotten_there_or_nothing_changes(
             reset_journal(file, OWNER, others, print, None, yes=True)
         assert AWAY in kept(file)
     assert "  scout, start 2, after 5 hops, parked at bravo\n" in capsys.readouterr().out
-    assert asked == [(others, SNAPSHOT.message), (others, ForgetRequest("scout"))]
+    assert requests == [(others, SNAPSHOT.message), (others, ForgetRequest("scout"))]
 
 
 def kept(file, *pages):

@@ -55,9 +55,9 @@ def test_all_keys_of_this_computer_are_checked(
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "home"))
     (nothing,) = local_keys_health({}, AT, tmp_path / "none")
     assert (nothing.state, nothing.what[:7]) == ("note", "no keys")
-    made = ledger.make("person", "anna", (), AT, AT + 90 * DAY)
-    mine = tmp_path / "home" / "lfield" / "keys" / "me"
-    folders.write_keys(mine, folders.read_keys(made.folder, "person"))
+    keys_folder = ledger.make("person", "anna", (), AT, AT + 90 * DAY)
+    own_keys = tmp_path / "home" / "lfield" / "keys" / "me"
+    folders.write_keys(own_keys, folders.read_keys(keys_folder.folder, "person"))
     (found,) = local_keys_health({}, AT, tmp_path / "none")
     assert (found.state, found.details[1]) == ("ok", "has no rights")
 

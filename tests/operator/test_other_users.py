@@ -18,8 +18,8 @@ from lfield.operator.targets import TargetTeam, open_team
 
 def claimed(*hosts: str, mission="/m/tour.dL", rest_within=60.0) -> Run:
     """A run of mallory without a listener."""
-    doors = {host: f"{number}.sock" for number, host in enumerate(hosts)}
-    note = RunManifest(mission, "d" * 64, 7, 1.0, rest_within, dict.fromkeys(hosts, "127.0.0.1:1"), doors)
+    addresses = {host: f"{number}.sock" for number, host in enumerate(hosts)}
+    note = RunManifest(mission, "d" * 64, 7, 1.0, rest_within, dict.fromkeys(hosts, "127.0.0.1:1"), addresses)
     return Run(Path("/nowhere/tour-0a1b2c3d"), note, "mallory", is_foreign=True)
 
 
@@ -37,10 +37,10 @@ def test_text_of_a_foreign_manifest_is_escaped_for_the_terminal(there, capsys):
     there(claimed("a\x1b[31m", mission="/m/\x1b]0;mine\x07.dL"))
     for command in ("ps", "estop", "resume", "pause", "recover"):
         assert main([command, *(["walk"] if command == "recover" else [])]) in (3, 69)
-        said = "".join(capsys.readouterr())
-        assert "a\\u{1b}[31m" in said
-        assert "\x1b" not in said
-        assert "\x07" not in said
+        output = "".join(capsys.readouterr())
+        assert "a\\u{1b}[31m" in output
+        assert "\x1b" not in output
+        assert "\x07" not in output
 
 
 @pytest.mark.few(0)
@@ -48,19 +48,19 @@ def test_a_foreign_manifest_with_thousands_of_hosts_is_a_few_lines(there, capsys
     there(claimed(*(f"h{number}" for number in range(4000))))
     for command, status in (("ps", 69), ("estop", 3)):
         assert main([command]) == status
-        said = capsys.readouterr()
-        assert len(said.out) < 6000
-        (line,) = said.err.splitlines()
+        output = capsys.readouterr()
+        assert len(output.out) < 6000
+        (line,) = output.err.splitlines()
         assert line.startswith("4000 hosts of mallory/tour-0a1b2c3d: ")
 
 
 def test_events_follow_a_limited_number_of_hosts_of_another_user(there, capsys):
     there(claimed(*(f"h{number}" for number in range(40))))
     assert main(["events", "--no-follow"]) == 69
-    said = capsys.readouterr().err
-    assert "lfield: 8 hosts of user mallory are left out: name a run with --run" in said
-    assert "h31: unreachable" in said
-    assert "h32" not in said
+    output = capsys.readouterr().err
+    assert "lfield: 8 hosts of user mallory are left out: name a run with --run" in output
+    assert "h31: unreachable" in output
+    assert "h32" not in output
 
 
 @pytest.mark.parametrize("words", [("query", "Lift"), ("watch",)])
@@ -92,20 +92,20 @@ def test_a_named_mission_is_asked_at_its_addresses_and_others_are_named(there, c
         )
     )
     main(["query", "Hold", str(file)])
-    said = capsys.readouterr().err
+    output = capsys.readouterr().err
     assert (
-        "lfield: runs of other users are not included; select one with --run: mallory/tour-0a1b2c3d" in said
+        "lfield: runs of other users are not included; select one with --run: mallory/tour-0a1b2c3d" in output
     )
-    assert "/nowhere" not in said
+    assert "/nowhere" not in output
 
 
 def test_the_descent_limit_of_another_user_is_not_used(monkeypatch):
-    given = []
+    granted = []
 
     class Given(SafeStateProgress):
         def __init__(self, within: float, now: float) -> None:
             super().__init__(within, now)
-            given.append(within)
+            granted.append(within)
 
     monkeypatch.setattr("lfield.operator.safe_state_progress.SafeStateProgress", Given)
     for rest_within in (90.0, 1e6):
@@ -113,4 +113,4 @@ def test_the_descent_limit_of_another_user_is_not_used(monkeypatch):
         assert watch_safe_states(
             [TargetTeam((run,), {"alpha": run.control_socket("alpha")})], {}, {}, None
         ) == (0, {})
-    assert given == [90.0, 120.0]
+    assert granted == [90.0, 120.0]

@@ -147,10 +147,10 @@ def test_a_run_is_refused_if_its_directory_is_not_private(usual, shared, taken):
 def test_a_run_uses_the_session_directory_if_that_of_the_group_is_taken(tmp_path, usual, monkeypatch, group):
     usual.write_text("")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    told = []
-    with begun(told.append):
+    lines = []
+    with begun(lines.append):
         assert [run.folder.parent for run in runs_here()] == [tmp_path / "lfield"]
-    assert [text.partition(":")[0] for text in told] == ["members of the group lfield do not find this run"]
+    assert [text.partition(":")[0] for text in lines] == ["members of the group lfield do not find this run"]
 
 
 def test_a_run_is_refused_where_other_users_could_remove_it(shared):
@@ -178,8 +178,8 @@ def test_every_possible_place_of_a_run_is_searched(tmp_path, usual, monkeypatch,
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
     locations = list(run_locations())
     assert locations
-    for spot in locations:
-        assert spot.path in [path for base in search_roots() for path in base.paths]
+    for position in locations:
+        assert position.path in [path for base in search_roots() for path in base.paths]
 
 
 @as_root
@@ -216,9 +216,9 @@ def test_only_the_run_of_a_member_is_open_to_the_group(usual, tmp_path, monkeypa
         with begun():
             (run,) = runs_here()
             assert run.folder.parent == usual
-            shown = {path: mode(path) for path in (usual, run.folder, run.folder / "note.json")}
-            assert list(shown.values()) == [0o750, 0o750, 0o640]
-            assert {path.lstat().st_gid for path in shown} == {group}
+            modes = {path: mode(path) for path in (usual, run.folder, run.folder / "note.json")}
+            assert list(modes.values()) == [0o750, 0o750, 0o640]
+            assert {path.lstat().st_gid for path in modes} == {group}
             assert mode(usual / "sims") == 0o700
     finally:
         os.umask(before)
@@ -252,19 +252,19 @@ def test_a_manifest_is_locked_before_a_group_may_read_it(monkeypatch, group):
 def test_a_user_who_cannot_share_files_is_told_and_the_run_is_found(monkeypatch, group):
     """The test runs as root of a user namespace."""
 
-    def refused(*words: object) -> None:
+    def refused(*arguments: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "fchown", refused)
     monkeypatch.setattr(peer_credentials, "_group_id", lambda: GROUP)
     monkeypatch.setattr(os, "getgroups", lambda: [GROUP])
-    told = []
-    with begun(told.append):
+    lines = []
+    with begun(lines.append):
         (run,) = runs_here()
         assert mode(run.folder) == 0o700
-    (said,) = told
-    assert said.startswith("members of the group lfield do not find this run: cannot write ")
-    assert said.endswith("Operation not permitted")
+    (line,) = lines
+    assert line.startswith("members of the group lfield do not find this run: cannot write ")
+    assert line.endswith("Operation not permitted")
 
 
 @as_root

@@ -50,8 +50,10 @@ def mission(tmp_path):
 def offered(path: Path, primitive: str, capabilities: Path | None = None) -> list[str]:
     """The providers of a primitive, as a query reports them."""
     team = open_team(path)
-    asked = read_context(path, team, capabilities)
-    matcher = Matcher(asked.registry, roster_from_files(asked.registry, team.deployed), asked.realisations)
+    context = read_context(path, team, capabilities)
+    matcher = Matcher(
+        context.registry, roster_from_files(context.registry, team.deployed), context.realisations
+    )
     return [offer.agent for offer in matcher.find(primitive).offers]
 
 
@@ -110,8 +112,8 @@ def test_a_wrong_promise_of_a_mission_is_reported(mission, asks):
 
 def test_stated_attributes_count_where_the_program_asks_for_nothing(mission):
     path = mission("flyTo", devices="agents: {lead: {attributes: {mass: 7 kg}}}\n")
-    asked = read_context(path, open_team(path))
-    assert asked.stated == {"lead": {"mass": 7.0}}
+    context = read_context(path, open_team(path))
+    assert context.stated == {"lead": {"mass": 7.0}}
 
 
 @pytest.mark.few(4)

@@ -58,7 +58,7 @@ def told(refusal="", unknown=None, **facts):
 
 
 def status(**agents):
-    directory = [DirectoryEntry(agent, *said) for agent, said in agents.items()]
+    directory = [DirectoryEntry(agent, *entry) for agent, entry in agents.items()]
     return Status("alpha", "", 0.0, b"", b"", [], [], [], [], directory)
 
 
@@ -133,10 +133,13 @@ def test_an_agents_own_host_counts_before_others_and_the_asked_host_first(regist
 
 
 def test_agents_of_a_silent_host_are_reported_by_others_or_refused(registry):
-    gone = AddressError("10.0.0.1:1", "no program listens there")
-    heard = {"alpha": status(second=told("unreachable for 9 s")), "bravo": gone}
-    assert hosts(registry, heard)[1].refusal == "unreachable for 9 s"
-    assert hosts(registry, {"alpha": status(), "bravo": gone})[1].refusal == "its host bravo does not answer"
+    unreachable = AddressError("10.0.0.1:1", "no program listens there")
+    answers = {"alpha": status(second=told("unreachable for 9 s")), "bravo": unreachable}
+    assert hosts(registry, answers)[1].refusal == "unreachable for 9 s"
+    assert (
+        hosts(registry, {"alpha": status(), "bravo": unreachable})[1].refusal
+        == "its host bravo does not answer"
+    )
 
 
 @pytest.mark.parametrize(

@@ -74,12 +74,15 @@ def changed(**fields) -> RunManifest:
 
 def test_a_run_is_found_while_it_is_alive():
     assert runs_here() == []
-    with begun() as doors:
+    with begun() as addresses:
         (run,) = runs_here()
         assert run.manifest == NOTE
         assert re.fullmatch("tour-[0-9a-f]{8}", run.id)
-        assert dict(doors.addresses) == {"alpha": f"unix:{run.folder}/alpha.sock"}
-        assert (run.control_socket("alpha"), run.control_socket("bravo")) == (doors.addresses["alpha"], "")
+        assert dict(addresses.addresses) == {"alpha": f"unix:{run.folder}/alpha.sock"}
+        assert (run.control_socket("alpha"), run.control_socket("bravo")) == (
+            addresses.addresses["alpha"],
+            "",
+        )
     assert runs_here() == []
 
 
@@ -350,15 +353,15 @@ def test_a_fifo_in_place_of_a_manifest_does_not_block(of_others):
 
 
 def test_the_hint_without_a_run_names_the_searched_folders(tmp_path, monkeypatch):
-    said = no_runs_hint()
+    hint = no_runs_hint()
     for place in (
         tmp_path / "lfield",
         tmp_path / "run" / "lfield",
         tmp_path / "shared" / f"lfield-{os.geteuid()}",
     ):
-        assert str(place) in said
-    assert "another XDG_RUNTIME_DIR, set this variable" in said
-    assert (str(tmp_path / "shared" / "lfield-*") in said) == (os.geteuid() == 0)
+        assert str(place) in hint
+    assert "another XDG_RUNTIME_DIR, set this variable" in hint
+    assert (str(tmp_path / "shared" / "lfield-*") in hint) == (os.geteuid() == 0)
 
 
 def test_a_service_shows_its_runs_to_its_group(service, folder):

@@ -47,9 +47,9 @@ def recorded(line: str, folder: Path, most: int = MOST) -> str:
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         status = main(words)
-    said = prefixed("| ", shortened(masked(out.getvalue(), folder), most))
-    said += prefixed("! ", shortened(masked(err.getvalue(), folder), most))
-    return f"$ lfield {line}\n{said}= {status}\n"
+    output = prefixed("| ", shortened(masked(out.getvalue(), folder), most))
+    output += prefixed("! ", shortened(masked(err.getvalue(), folder), most))
+    return f"$ lfield {line}\n{output}= {status}\n"
 
 
 def prefixed(prefix: str, text: str) -> str:

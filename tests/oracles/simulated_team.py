@@ -27,7 +27,7 @@ DEPLOYMENT = Path(__file__).parent / "team" / "patrol.dL"
 #: Seconds of virtual time between two checks for the end of a command.
 STEP = 0.05
 #: The limit of a command in seconds of virtual time.
-PATIENCE = 200.0
+TIMEOUT = 200.0
 #: The most characters of one output, enough for the status of three hosts as JSON.
 KEPT = 40_000
 
@@ -70,7 +70,7 @@ class SimulatedTeam:
                 results.append(partial(_raise, failure))
 
         self._process.loop.enter(lambda: spawn(kept()))
-        end = self.fleet.now + PATIENCE
+        end = self.fleet.now + TIMEOUT
         while not results:
             assert self.fleet.now < end, "the command does not end"
             self.fleet.run(STEP)

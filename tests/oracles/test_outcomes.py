@@ -24,7 +24,7 @@ def frozen() -> list[str]:
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, SEEDS, IN_A_CASE))
-def test_stories_come_to_what_they_came_to(first: int) -> None:
+def test_outcomes_of_scenarios_are_unchanged(first: int) -> None:
     seeds = range(first, first + IN_A_CASE)
     outcomes = [run_seed(seed).outcome[:DIGITS] for seed in seeds]
     _, *line = frozen()[first // IN_A_LINE].split()

@@ -59,7 +59,7 @@ def forgotten(team: SimulatedTeam) -> Iterator[str]:
     yield from ("forget patrol", "ps")
 
 
-STORIES = (
+SCENARIOS = (
     looked_at, stopped, stopped_by_one_who_does_not_look, paused, begun_without_a_host, recovered, forgotten,
 )  # fmt: skip
 
@@ -73,10 +73,10 @@ def team(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulatedT
     made.fleet.close()
 
 
-@pytest.mark.parametrize("story", STORIES, ids=lambda story: story.__name__)
-def test_a_command_prints_of_a_running_team_what_it_did(golden, team: SimulatedTeam, story) -> None:
-    golden("running team").check(story.__name__, "".join(team(line) for line in story(team)))
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.__name__)
+def test_a_command_prints_of_a_running_team_what_it_did(golden, team: SimulatedTeam, scenario) -> None:
+    golden("running team").check(scenario.__name__, "".join(team(line) for line in scenario(team)))
 
 
-def test_the_golden_file_has_no_other_stories(golden) -> None:
-    golden("running team").has_only([story.__name__ for story in STORIES])
+def test_the_golden_file_has_no_other_scenarios(golden) -> None:
+    golden("running team").has_only([scenario.__name__ for scenario in SCENARIOS])

@@ -53,7 +53,7 @@ def test_a_command_has_the_options_it_had(golden, command: str) -> None:
 
 
 def test_an_exit_status_means_what_it_did(golden) -> None:
-    meanings = "".join(f"{status:>4}  {words}\n" for status, words in exit_status.MEANINGS.items())
+    meanings = "".join(f"{status:>4}  {text}\n" for status, text in exit_status.MEANINGS.items())
     golden("options").check("exit statuses", meanings)
     golden("options").has_only([*COMMANDS, "exit statuses"])
 

@@ -22,9 +22,9 @@ ROOT = Path(__file__).parents[2]
 PROGRAM = 'coordinator Hello { init(string[] arg) { print("hello " + arg[0]); } }\n'
 
 
-def run(*words: object, **options) -> subprocess.CompletedProcess[str]:
+def run(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, *map(str, words)],
+        [sys.executable, *map(str, arguments)],
         capture_output=True,
         text=True,
         timeout=110,
@@ -132,8 +132,8 @@ def test_installed_wheel_runs(installed, tmp_path):
     (tmp_path / "hello.L").write_text(PROGRAM)
     (tmp_path / "hello.dL").write_text("//Hello:tom@alpha\n")
 
-    def lfield(*words):
-        return run("-P", "-m", "lfield", *words, env=installed, cwd=tmp_path)
+    def lfield(*arguments):
+        return run("-P", "-m", "lfield", *arguments, env=installed, cwd=tmp_path)
 
     where = run("-P", "-c", "import lfield; print(lfield.__file__)", env=installed, cwd=tmp_path)
     assert where.stdout.startswith(installed["PYTHONPATH"])

@@ -52,7 +52,7 @@ FINDERS = (
     ),
     BugFinder("tests/simulate/test_fleet.py", "test_a_sender_that_resumes_what_it_has_sent_is_found", PATCH),
     BugFinder(
-        "tests/simulate/test_fleet_census.py",
+        "tests/simulate/test_fleet_liveness.py",
         "test_a_judge_that_counts_a_silent_host_as_lost_is_found",
         PATCH,
     ),

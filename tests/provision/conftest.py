@@ -41,9 +41,9 @@ class Trial:
         """The inventory of these robots."""
         self.desk.write_inventory({robot.name: robot.address for robot in robots}, extra)
 
-    def provision(self, *words: object) -> Outcome:
+    def provision(self, *arguments: object) -> Outcome:
         """Runs `lfield provision` to its end."""
-        command = self.desk.provision("--json", *words)
+        command = self.desk.provision("--json", *arguments)
         done = self.bench.run(command, self.desk.environment)
         reports = [json.loads(line) for line in done.stdout.splitlines()]
         return Outcome(done.returncode, reports, done.stderr)

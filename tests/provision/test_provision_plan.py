@@ -65,18 +65,18 @@ def installation(python: StandalonePython | None = None, version: str = "0.4.0")
     )
 
 
-def provisioned(facts: RobotFacts, wanted: Installation) -> RobotFacts:
+def provisioned(facts: RobotFacts, expected: Installation) -> RobotFacts:
     """The facts after all steps."""
-    files = (*wanted.settings, *wanted.keys, wanted.unit)
+    files = (*expected.settings, *expected.keys, expected.unit)
     return replace(
         facts,
-        service_groups=frozenset({"lfield"}) | wanted.groups,
+        service_groups=frozenset({"lfield"}) | expected.groups,
         member_of=facts.member_of | {"lfield"},
-        wheels={wheel.file: wheel.sha256 for wheel in wanted.payload.wheels},
-        versions=facts.versions | {wanted.payload.environment},
-        current=wanted.payload.environment,
-        started=wanted.configuration,
-        standalone=frozenset({wanted.payload.python.version} if wanted.payload.python else ()),
+        wheels={wheel.file: wheel.sha256 for wheel in expected.payload.wheels},
+        versions=facts.versions | {expected.payload.environment},
+        current=expected.payload.environment,
+        started=expected.configuration,
+        standalone=frozenset({expected.payload.python.version} if expected.payload.python else ()),
         files={file.path: file.sha256 for file in files},
         modes={file.path: file.access for file in files},
         has_private_keys_folder=True,
@@ -97,8 +97,8 @@ def test_bare_robot_needs_every_step():
 
 
 def test_provisioned_robot_needs_no_step():
-    wanted = installation()
-    assert set(states(plan(provisioned(ROBOT, wanted), "pi", wanted)).values()) == {"done"}
+    expected = installation()
+    assert set(states(plan(provisioned(ROBOT, expected), "pi", expected)).values()) == {"done"}
 
 
 def test_wheels_are_sent_once_in_bounded_batches():
@@ -118,10 +118,10 @@ def test_wheels_are_sent_once_in_bounded_batches():
 
 
 def test_environment_name_depends_on_its_wheels():
-    wanted = installation()
-    assert wanted.payload.environment.startswith("0.4.0-")
-    other = replace(wanted.payload, wheels=(replace(WHEELS[0], sha256="e" * 64), *WHEELS[1:]))
-    assert other.environment != wanted.payload.environment
+    expected = installation()
+    assert expected.payload.environment.startswith("0.4.0-")
+    other = replace(expected.payload, wheels=(replace(WHEELS[0], sha256="e" * 64), *WHEELS[1:]))
+    assert other.environment != expected.payload.environment
 
 
 @pytest.mark.parametrize(
@@ -151,9 +151,9 @@ def test_only_differences_are_repaired(change, todo):
 
 
 def test_changed_configuration_restarts_the_service():
-    wanted = installation()
-    facts = provisioned(ROBOT, wanted)
-    other = replace(wanted, settings=(settings_file("service.env", b"LFIELD_HOST=bravo\n"),))
+    expected = installation()
+    facts = provisioned(ROBOT, expected)
+    other = replace(expected, settings=(settings_file("service.env", b"LFIELD_HOST=bravo\n"),))
     steps = states(plan(facts, "pi", other))
     assert {name for name, state in steps.items() if state == "todo"} == {"settings", "service"}
 
@@ -169,29 +169,29 @@ def test_root_needs_no_group():
 
 
 def test_keys_of_the_robot_stay_without_an_authority():
-    wanted = installation()
-    without = replace(wanted, keys=())
-    assert states(plan(provisioned(ROBOT, wanted), "pi", without))["keys"] == "note"
+    expected = installation()
+    without = replace(expected, keys=())
+    assert states(plan(provisioned(ROBOT, expected), "pi", without))["keys"] == "note"
     assert states(plan(ROBOT, "pi", without)) == {"keys": "refused"}
 
 
 def test_robot_of_another_host_is_replaced_only_by_command():
     """By mistake the inventory has the address of this robot under the name of another host."""
-    wanted = installation()
-    assert states(plan(replace(ROBOT, host="alpha"), "pi", wanted))["keys"] == "todo"
-    for other in (replace(ROBOT, host="bravo"), replace(provisioned(ROBOT, wanted), host="bravo")):
-        (refused,) = plan(other, "pi", wanted)
+    expected = installation()
+    assert states(plan(replace(ROBOT, host="alpha"), "pi", expected))["keys"] == "todo"
+    for other in (replace(ROBOT, host="bravo"), replace(provisioned(ROBOT, expected), host="bravo")):
+        (refused,) = plan(other, "pi", expected)
         assert (refused.name, refused.state) == ("keys", "refused")
         assert "bravo" in refused.text
         # Without an authority its settings are not overwritten either.
-        assert {step.state for step in plan(other, "pi", replace(wanted, keys=()))} == {"refused"}
-        assert states(plan(other, "pi", replace(wanted, takes_over=True)))["keys"] != "refused"
+        assert {step.state for step in plan(other, "pi", replace(expected, keys=()))} == {"refused"}
+        assert states(plan(other, "pi", replace(expected, takes_over=True)))["keys"] != "refused"
 
 
 def test_keys_of_another_authority_are_replaced_only_by_command():
-    wanted = installation()
+    expected = installation()
     own = replace(
-        wanted, keys=(*wanted.keys, *key_files("alpha", [("authority.pem", b"of this team", False)]))
+        expected, keys=(*expected.keys, *key_files("alpha", [("authority.pem", b"of this team", False)]))
     )
     facts = provisioned(ROBOT, own)
     other = replace(facts, files={**facts.files, own.keys[-1].path: "of another team"})
@@ -230,9 +230,9 @@ def test_refused_step_leaves_the_robot_unchanged(changes, refused):
 
 
 def test_full_disk_is_accepted_on_a_provisioned_robot():
-    wanted = installation()
-    facts = replace(provisioned(ROBOT, wanted), free=0)
-    assert set(states(plan(facts, "pi", wanted)).values()) == {"done"}
+    expected = installation()
+    facts = replace(provisioned(ROBOT, expected), free=0)
+    assert set(states(plan(facts, "pi", expected)).values()) == {"done"}
 
 
 @pytest.mark.parametrize(
@@ -280,13 +280,13 @@ def test_robot_python_is_used_if_wheels_support_it(versions, path, tag):
 
 def test_standalone_python_is_installed_once():
     facts = replace(ROBOT, pythons=(RobotPython("/usr/bin/python3", (3, 10, 12), True),))
-    wanted = installation(STANDALONE_PYTHON)
-    first = plan(facts, "pi", wanted)
+    expected = installation(STANDALONE_PYTHON)
+    first = plan(facts, "pi", expected)
     assert first[0].state == "todo"
     assert first[0].commands[0].uploads[0].source == STANDALONE_PYTHON.archive
     (command,) = first[NAMES.index("environment")].commands
     assert "/opt/lfield/python/3.12.9/bin/python3" in command.script
-    assert set(states(plan(provisioned(facts, wanted), "pi", wanted)).values()) == {"done"}
+    assert set(states(plan(provisioned(facts, expected), "pi", expected)).values()) == {"done"}
 
 
 # --- facts --------------------------------------------------------------------------------------------------

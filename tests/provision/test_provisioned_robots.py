@@ -69,8 +69,8 @@ def test_interrupted_provisioning_of_a_bare_robot_is_completed(trial, alpha):
     keys = alpha.path("/etc/lfield/keys/alpha")
     assert stat.S_IMODE(keys.stat().st_mode) == 0o700
     assert stat.S_IMODE((keys / "host.key").stat().st_mode) == 0o600
-    shown = alpha.run("runuser -u lfield -- /opt/lfield/current/bin/lfield keys show /etc/lfield/keys/alpha")
-    assert "alpha" in shown
+    output = alpha.run("runuser -u lfield -- /opt/lfield/current/bin/lfield keys show /etc/lfield/keys/alpha")
+    assert "alpha" in output
     assert alpha.run("ip route show default") == ""
     assert not list(alpha.path("/opt/lfield").glob(".stage.*"))
 

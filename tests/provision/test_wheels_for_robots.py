@@ -113,9 +113,9 @@ class Index:
     def __init__(self, *missing: str) -> None:
         self.missing, self.requests = set(missing), 0
 
-    async def download(self, *words: str, operation: str) -> None:
+    async def download(self, *arguments: str, operation: str) -> None:
         self.requests += 1
-        folder, lock = Path(words[words.index("-d") + 1]), Path(words[words.index("-r") + 1])
+        folder, lock = Path(arguments[arguments.index("-d") + 1]), Path(arguments[arguments.index("-r") + 1])
         pins = read_lock(lock.read_text(), "")
         if names(pins) & self.missing:
             raise ProvisionError("", f"{operation}: no matching distribution")
@@ -212,8 +212,8 @@ def test_installed_lfield_rebuilds_its_own_wheel(tmp_path):
     wheel = asyncio.run(make_own_wheel(first_build))
     assert describe_wheel(asyncio.run(make_own_wheel(second_build))).sha256 == describe_wheel(wheel).sha256
     (second_build / wheel.name).unlink()
-    words = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", installed, wheel]
-    subprocess.run([sys.executable, *map(str, words)], check=True, timeout=110)
+    arguments = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", installed, wheel]
+    subprocess.run([sys.executable, *map(str, arguments)], check=True, timeout=110)
     # The installed lfield has neither sources nor a checkout.
     script = (
         "import asyncio, pathlib, sys; "
@@ -222,9 +222,9 @@ def test_installed_lfield_rebuilds_its_own_wheel(tmp_path):
         "print(deployment_file('lfield.service') and deployment_file('locks/run.txt') and 'complete')"
     )
     environment = {**os.environ, "PYTHONPATH": str(installed)}
-    words = [sys.executable, "-P", "-c", script, str(second_build)]
+    arguments = [sys.executable, "-P", "-c", script, str(second_build)]
     done = subprocess.run(
-        words, env=environment, cwd=tmp_path, check=True, timeout=60, capture_output=True, text=True
+        arguments, env=environment, cwd=tmp_path, check=True, timeout=60, capture_output=True, text=True
     )
     path, complete = done.stdout.splitlines()
     assert (Path(path).name, complete) == (wheel.name, "complete")

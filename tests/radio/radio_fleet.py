@@ -40,9 +40,9 @@ class RadioFleet:
     def up(self, *hosts: str) -> None:
         """Start the services of some hosts, by default of all, and wait until all answer."""
         for host in hosts or HOSTS:
-            words = ["service", "--host", host, "--state", str(self.folder / f"state-{host}")]
+            arguments = ["service", "--host", host, "--state", str(self.folder / f"state-{host}")]
             self.services[host] = self._start(
-                host, *words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                host, *arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
             )
         end = time.monotonic() + 60
         while self.desk("status").wait(60):
@@ -56,13 +56,13 @@ class RadioFleet:
         (self.folder / "mission.dL").write_text(TEAM)
         return self.folder / "mission.dL"
 
-    def desk(self, *words: object) -> subprocess.Popen[Any]:
+    def desk(self, *arguments: object) -> subprocess.Popen[Any]:
         """Start a command at the desk."""
         return self._start(
-            DESK, *map(str, words), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            DESK, *map(str, arguments), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
 
-    def _start(self, host: str, *words: str, **options: Any) -> subprocess.Popen[Any]:
+    def _start(self, host: str, *arguments: str, **options: Any) -> subprocess.Popen[Any]:
         runtime = self.folder / f"run-{host}"
         runtime.mkdir(mode=0o700, exist_ok=True)
         environment = {
@@ -70,7 +70,7 @@ class RadioFleet:
             "XDG_RUNTIME_DIR": str(runtime),
             "LFIELD_INVENTORY": str(self.folder / "config" / "lfield" / "inventory.yaml"),
         }
-        command = [sys.executable, "-m", "lfield", *words]
+        command = [sys.executable, "-m", "lfield", *arguments]
         return self.radio[host].start(command, env=environment, cwd=self.folder, **options)
 
 

@@ -195,8 +195,8 @@ def test_packet_header_is_decoded(packet: bytes, expected: Header | None) -> Non
 
 def test_any_bytes_are_accepted_by_the_header_reader() -> None:
     rng = random.Random(1)
-    whole: Iterable[bytes] = (ipv4(TCP, TCP_PACKET), ipv4(UDP, UDP_PACKET))
-    for packet in whole:
+    packets: Iterable[bytes] = (ipv4(TCP, TCP_PACKET), ipv4(UDP, UDP_PACKET))
+    for packet in packets:
         for cut in range(len(packet)):
             header = read_header(packet[:cut])
             assert header is None or header.size == cut

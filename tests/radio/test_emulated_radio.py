@@ -47,9 +47,9 @@ def echo(radio: Radio, name: str) -> None:
     assert server.stdout.readline() == b"ready\n"
 
 
-def ask(radio: Radio, name: str, address: str, patience: float = 60.0) -> str:
-    asked = [sys.executable, "-Sc", ASK, address, patience]
-    return str(radio[name].run(asked, capture_output=True, text=True, check=True).stdout.strip())
+def ask(radio: Radio, name: str, address: str, timeout: float = 60.0) -> str:
+    command = [sys.executable, "-Sc", ASK, address, timeout]
+    return str(radio[name].run(command, capture_output=True, text=True, check=True).stdout.strip())
 
 
 @pytest.mark.process
@@ -79,9 +79,9 @@ def test_packets_are_delayed_counted_cut_and_follow_an_address() -> None:
 @pytest.mark.parametrize("ipv6", [False, True])
 def test_robots_have_only_loopback_and_the_radio(ipv6: bool) -> None:
     with Radio("alpha", ipv6=ipv6) as radio:
-        shown = radio["alpha"].run(["ip", "-o", "addr"], capture_output=True, text=True, check=True).stdout
-        assert {line.split()[1] for line in shown.splitlines()} == {"lo", "air0"}
-        assert ("inet6" in shown) == ipv6
+        output = radio["alpha"].run(["ip", "-o", "addr"], capture_output=True, text=True, check=True).stdout
+        assert {line.split()[1] for line in output.splitlines()} == {"lo", "air0"}
+        assert ("inet6" in output) == ipv6
 
 
 @pytest.mark.process
@@ -103,9 +103,9 @@ def test_router_ends_with_the_radio() -> None:
     with Radio("alpha", "bravo") as radio:
         pids = [robot.pid for robot in radio]
         sleeper = radio["alpha"].start(["sleep", "600"])
-    begun = time.monotonic()
+    started = time.monotonic()
     assert sleeper.poll() is not None
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
-    assert time.monotonic() - begun < 5.0
+    assert time.monotonic() - started < 5.0

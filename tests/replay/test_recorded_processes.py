@@ -84,8 +84,8 @@ def start(folder: Path, rounds: int, *options: str, program: str = WALKER) -> su
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
-def run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "lfield", *words]
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "lfield", *arguments]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60)
 
 
@@ -160,13 +160,13 @@ def test_on_hardware_a_recording_is_the_default(tmp_path: Path, options: tuple[s
     """The device is simulated, but lfield does not detect it: the driver reaches it over a real bus."""
     (tmp_path / "mission.L").write_text(AXIS)
     (tmp_path / "mission.dL").write_text("//Winch:winch@here\n//Boss:boss@here\n")
-    words = ("up", "mission.dL", "--all", "--state", "state", "--until-done", *options)
+    arguments = ("up", "mission.dL", "--all", "--state", "state", "--until-done", *options)
     with running_fake("can", "--device", "odrive:3") as fake:
         (tmp_path / "mission.devices.yaml").write_text(
             "agents: {winch: {devices: {axis: {driver: can, protocol: odrive, node: 3, "
             f'endpoint: "{fake.endpoint}", waivers: [no_homing, device_watchdog]}}}}}}}}\n'
         )
-        ran = run(*words, cwd=tmp_path)
+        ran = run(*arguments, cwd=tmp_path)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "enabled" in ran.stderr
     records = tmp_path / "state/recordings"

@@ -61,18 +61,18 @@ def both(parent, team, wall=1.8e9, **options):
     return [write_folder(parent, team, number, wall, **options) for number in range(2)]
 
 
-def result_of(capsys, *words) -> dict:
+def result_of(capsys, *arguments) -> dict:
     """The result that `lfield replay --json` prints."""
-    status = main(["replay", "--json", *map(str, words)])
+    status = main(["replay", "--json", *map(str, arguments)])
     found = json.loads(capsys.readouterr().out)
     assert "differences" in found, found
     assert status == (exit_status.FAILED if found["differences"] else exit_status.DONE)
     return found
 
 
-def refused(capsys, *words) -> str:
+def refused(capsys, *arguments) -> str:
     """The message of `lfield replay` for a recording that cannot be used."""
-    status = main(["replay", *map(str, words)])
+    status = main(["replay", *map(str, arguments)])
     assert status == exit_status.DATA
     return capsys.readouterr().err
 
@@ -109,11 +109,11 @@ def test_missing_hosts_are_named(team, tmp_path, capsys):
 def test_without_its_first_file_a_replay_starts_at_the_checkpoint(team, tmp_path, capsys):
     places = checkpoints_of(team)
     folder = write_folder(tmp_path, team, 0, cuts=places[:2])
-    whole = result_of(capsys, folder)
+    full_result = result_of(capsys, folder)
     (folder / "core-000001.lfrec").unlink()
     found = result_of(capsys, folder)
     assert found["differences"] == 0
-    assert 0 < found["digests"] < whole["digests"]
+    assert 0 < found["digests"] < full_result["digests"]
     assert any("core-000002.lfrec" in problem for problem in found["problems"])
 
 
@@ -300,24 +300,24 @@ def test_the_recorded_bundle_is_signed_only_if_it_was_the_signed_one(tmp_path):
 @pytest.fixture
 def started(tmp_path, monkeypatch):
     """A function that starts the process of a host, and returns its mission, its recorder and its log."""
-    made = SimpleNamespace(mission=None, options=None, log=[])
+    environment = SimpleNamespace(mission=None, options=None, log=[])
 
     class Started(Exception):
         pass
 
     def host(mission, name, transport, logbook, options):
-        made.mission, made.options = mission, options
+        environment.mission, environment.options = mission, options
         raise Started
 
     identity = SimpleNamespace(address="", tls=None, admission=None, orders=None)
     monkeypatch.setattr(host_process, "Host", host)
     monkeypatch.setattr(host_process, "_identity", lambda mission, *rest: (identity, mission))
-    monkeypatch.setattr(host_process.Logbook, "note", lambda book, line: made.log.append(line.code))
+    monkeypatch.setattr(host_process.Logbook, "note", lambda book, line: environment.log.append(line.code))
 
     def start(record):
         with pytest.raises(Started):
             asyncio.run(host_process.run_host(walk_mission(tmp_path), "north", record=record))
-        return made.mission, made.options.record, made.log
+        return environment.mission, environment.options.record, environment.log
 
     return start
 

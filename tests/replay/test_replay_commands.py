@@ -287,8 +287,8 @@ def test_an_export_without_the_mcap_package_is_reported(recorded: Path, tmp_path
 
 @pytest.mark.process
 def test_a_debugger_at_a_port_in_use_is_reported(recorded: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as occupied:
+        port = occupied.getsockname()[1]
         ran = lfield("debug", recorded / "records", "--dap", "--port", port, cwd=recorded)
     assert ran.returncode == 69
     assert f"127.0.0.1:{port}" in ran.stderr

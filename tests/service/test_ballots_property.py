@@ -136,7 +136,7 @@ def test_all_message_orders_of_a_small_team_agree_and_end(hosts: int, sets: list
 
 
 @st.composite
-def stories(draw: st.DrawFn) -> tuple[int, list[list[str]], list[tuple[int, int, int, int]]]:
+def scenarios(draw: st.DrawFn) -> tuple[int, list[list[str]], list[tuple[int, int, int, int]]]:
     hosts = draw(st.integers(1, 4))
     names = NAMES[:hosts]
     sets = draw(
@@ -149,12 +149,12 @@ def stories(draw: st.DrawFn) -> tuple[int, list[list[str]], list[tuple[int, int,
 
 
 @pytest.mark.few(0)
-@given(stories())
+@given(scenarios())
 @settings(max_examples=1000)
 def test_late_repeated_and_lost_messages_give_one_outcome(
-    story: tuple[int, list[list[str]], list[tuple[int, int, int, int]]],
+    scenario: tuple[int, list[list[str]], list[tuple[int, int, int, int]]],
 ) -> None:
-    hosts, sets, events = story
+    hosts, sets, events = scenario
     names = NAMES[:hosts]
     team = Team(
         {name: ActivationState() for name in names},

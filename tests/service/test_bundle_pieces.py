@@ -71,7 +71,7 @@ def test_piece_that_expands_beyond_the_limit_is_refused() -> None:
     assert len(bomb) < MAX_PIECE
     with pytest.raises(WireError):
         decompress(bomb, is_compressed=True)
-    _, whole = compress(bytes(MAX_PIECE))
-    assert decompress(whole, is_compressed=True) == bytes(MAX_PIECE)
+    _, compressed = compress(bytes(MAX_PIECE))
+    assert decompress(compressed, is_compressed=True) == bytes(MAX_PIECE)
     with pytest.raises(WireError):
-        decompress(whole[:-1], is_compressed=True)
+        decompress(compressed[:-1], is_compressed=True)

@@ -163,8 +163,8 @@ def test_old_bundles_and_uploads_are_removed_unless_in_use(tmp_path: Path) -> No
     # An upload in progress stays, at any age.
     os.utime(tmp_path / "staging" / files[-1].hex(), (0, 0))
     store.start_upload(files[0], [files[-1]])
-    kept = {"lost+found", files[0].hex(), files[-1].hex()}
-    assert {path.name for path in (tmp_path / "staging").iterdir()} == kept
+    remaining = {"lost+found", files[0].hex(), files[-1].hex()}
+    assert {path.name for path in (tmp_path / "staging").iterdir()} == remaining
 
 
 def test_upload_in_progress_is_not_removed_for_another(tmp_path: Path) -> None:

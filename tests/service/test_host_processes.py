@@ -130,7 +130,7 @@ async def test_result_is_read_also_from_a_deleted_file(folder: Folder) -> None:
 def _result_descriptor(pid: int) -> Path:
     """The result file of a process, which has been deleted."""
     words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
-    (number,) = [word.partition("=")[2] for word in words if word.startswith("--result-fd=")]
+    (number,) = [argument.partition("=")[2] for argument in words if argument.startswith("--result-fd=")]
     return Path(f"/proc/{pid}/fd/{number}")
 
 

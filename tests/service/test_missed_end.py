@@ -45,15 +45,15 @@ class Bravo:
         return ServiceStatus(host, __version__, OLD, b"", [], self.run, None, [], "", 0.0)
 
 
-def run_with(story: Callable[[Robot], Awaitable[None]], bravo: Bravo) -> None:
-    """Runs `story` with a robot whose host was started by an order, and whose service asks bravo."""
+def run_with(steps: Callable[[Robot], Awaitable[None]], bravo: Bravo) -> None:
+    """Runs `steps` with a robot whose host was started by an order, and whose service asks bravo."""
 
     async def whole() -> None:
         robot = Robot()
         robot.boot_service()
         await robot.command(MissionCommand("start", order=ORDER))
         task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        await story(robot)
+        await steps(robot)
         task.cancel()
 
     run_jumping(whole())
@@ -61,7 +61,7 @@ def run_with(story: Callable[[Robot], Awaitable[None]], bravo: Bravo) -> None:
 
 @pytest.mark.parametrize("status", [exit_status.DONE, exit_status.FAILED])
 def test_restarted_host_stops_when_its_run_ended_on_another_host(status: int) -> None:
-    async def story(robot: Robot) -> None:
+    async def steps(robot: Robot) -> None:
         robot.processes.end(KILLED)
         robot.probe.waiting = [WALKER]
         await asyncio.sleep(SOON)
@@ -74,7 +74,7 @@ def test_restarted_host_stops_when_its_run_ended_on_another_host(status: int) ->
         assert robot.files.record.run.open_run == b""
         assert (await robot.status()).refusal == ""
 
-    run_with(story, Bravo(RunInfo(OLD, "ended", "", 0.0, status, ORDER)))
+    run_with(steps, Bravo(RunInfo(OLD, "ended", "", 0.0, status, ORDER)))
 
 
 @pytest.mark.parametrize(
@@ -92,25 +92,25 @@ def test_restarted_host_stops_when_its_run_ended_on_another_host(status: int) ->
 def test_other_run_states_do_not_stop_the_host(run: RunInfo) -> None:
     bravo = Bravo(run)
 
-    async def story(robot: Robot) -> None:
+    async def steps(robot: Robot) -> None:
         robot.processes.end(KILLED)
         await asyncio.sleep(10 * SOON)
         assert bravo.queries
         assert robot.processes.terminated == []
         assert robot.runner.is_running
 
-    run_with(story, bravo)
+    run_with(steps, bravo)
 
 
 def test_host_without_a_restart_asks_no_other_service() -> None:
     bravo = Bravo(DONE)
 
-    async def story(robot: Robot) -> None:
+    async def steps(robot: Robot) -> None:
         await asyncio.sleep(10 * SOON)
         assert bravo.queries == 0
         assert robot.runner.is_running
 
-    run_with(story, bravo)
+    run_with(steps, bravo)
 
 
 @scenario(run_with, Bravo(DONE))
@@ -139,7 +139,7 @@ async def test_order_is_known_after_a_service_restart(robot: Robot, /) -> None:
 def test_queries_to_other_services_become_less_frequent() -> None:
     bravo = Bravo(RunInfo(OLD, "running", order=ORDER))
 
-    async def story(robot: Robot) -> None:
+    async def steps(robot: Robot) -> None:
         robot.processes.end(KILLED)
         await asyncio.sleep(600.0)
         at_first = bravo.queries
@@ -147,13 +147,13 @@ def test_queries_to_other_services_become_less_frequent() -> None:
         await asyncio.sleep(600.0)
         assert bravo.queries - at_first <= 600.0 / LONGEST_PAUSE
 
-    run_with(story, bravo)
+    run_with(steps, bravo)
 
 
 def test_new_order_is_not_ended_by_an_earlier_run() -> None:
     bravo = Bravo(DONE)
 
-    async def story(robot: Robot) -> None:
+    async def steps(robot: Robot) -> None:
         robot.processes.end(KILLED)
         await asyncio.sleep(SOON)
         await robot.command(MissionCommand("start", order=OTHER))
@@ -164,11 +164,11 @@ def test_new_order_is_not_ended_by_an_earlier_run() -> None:
         assert robot.runner.is_running
         assert robot.runner.info.order == OTHER
 
-    run_with(story, bravo)
+    run_with(steps, bravo)
 
 
 def test_host_continues_without_an_answer() -> None:
-    async def story() -> None:
+    async def steps() -> None:
         robot = Robot()
         robot.boot_service()
         await robot.command(MissionCommand("start", order=ORDER))
@@ -178,4 +178,4 @@ def test_host_continues_without_an_answer() -> None:
         assert robot.runner.is_running
         task.cancel()
 
-    run_jumping(story())
+    run_jumping(steps())

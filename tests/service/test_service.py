@@ -49,12 +49,12 @@ async def test_service_votes_yes_at_rest_and_holds_its_host() -> None:
 
 
 @pytest.mark.parametrize(
-    "why", ["flying", "walking", "unknown bundle", "bad signature", "restarting", "killed"]
+    "reason", ["flying", "walking", "unknown bundle", "bad signature", "restarting", "killed"]
 )
-async def test_service_votes_no_with_a_reason(why: str) -> None:
+async def test_service_votes_no_with_a_reason(reason: str) -> None:
     robot = await running()
     proposal = ballot()
-    match why:
+    match reason:
         case "flying":
             robot.probe.motion = "drone is off the ground"
         case "walking":
@@ -78,7 +78,7 @@ async def test_service_votes_no_with_a_reason(why: str) -> None:
     assert robot.files.record.activation.open_ballot is None
     status = await robot.service.answer(ServiceQuery(), "anna")
     assert isinstance(status, ServiceStatus)
-    assert bool(status.refusal) is (why not in ("unknown bundle", "bad signature"))
+    assert bool(status.refusal) is (reason not in ("unknown bundle", "bad signature"))
 
 
 async def test_takeoff_during_the_hold_leads_to_a_no_vote() -> None:

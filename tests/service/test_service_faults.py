@@ -60,9 +60,9 @@ async def test_bound_host_asks_the_others_until_the_result_is_known() -> None:
     await asyncio.sleep(2 * RESOLVE_EVERY)
     assert robot.service.activation.active == NEW
     assert not any(query.closes for query in bravo.queries)
-    asked = len(bravo.queries)
+    query_count = len(bravo.queries)
     await asyncio.sleep(CLOSE_AFTER)
-    assert len(bravo.queries) == asked
+    assert len(bravo.queries) == query_count
     task.cancel()
 
 
@@ -227,14 +227,14 @@ def test_kill_before_or_after_each_save_leaves_a_consistent_state(activates: boo
         assert not robot.probe.held
         assert not robot.files.record.held
 
-    async def story() -> None:
+    async def scenario() -> None:
         saves = await saves_of(activates=activates)
         assert saves > 5
         for save in range(1, saves + 1):
             for after in (0.0, 0.5):
                 await killed_at(save + after)
 
-    run_jumping(story())
+    run_jumping(scenario())
 
 
 async def test_process_record_survives_reuse_of_the_process_id() -> None:

@@ -50,8 +50,8 @@ def test_the_access_file_decides_who_may_let_an_assistant_start(
         (tmp_path / "mission.access.yaml").write_text(f"{access}\n")
     data = bundle.encode(load_mission(tmp_path / "mission.dL"))
     persons = ("anna", "bob", "")
-    assert {who for who in persons if not refusal(data, who, is_assistant=True)} == permitted
-    assert not any(refusal(data, who) for who in persons)
+    assert {identity for identity in persons if not refusal(data, identity, is_assistant=True)} == permitted
+    assert not any(refusal(data, identity) for identity in persons)
     assert refusal(data, "anna", is_assistant=True, without=["bravo"])
     assert refusal(data, "anna", is_assistant=True, digest=bytes([1] * 32))
     assert refusal(None, "anna", is_assistant=True)

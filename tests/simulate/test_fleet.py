@@ -74,18 +74,18 @@ def one_copy(fleet: Fleet) -> None:
 
 def stamps(fleet: Fleet) -> Counter[str]:
     """The number of each stamp."""
-    said = (text for _, _, text in fleet.log)
-    return Counter(text.strip() for text in said if text.startswith("w") and text.endswith("\n"))
+    texts = (text for _, _, text in fleet.log)
+    return Counter(text.strip() for text in texts if text.startswith("w") and text.endswith("\n"))
 
 
 @pytest.mark.few(0)
 def test_without_faults_all_walkers_hop_and_nothing_is_lost(mission: Mission) -> None:
     fleet = Fleet(mission, seed=1, watch=one_copy)
     fleet.run(30.0)
-    made = stamps(fleet)
-    assert set(made.values()) == {1}
+    recorded = stamps(fleet)
+    assert set(recorded.values()) == {1}
     for walker in ("w0", "w3", "w6", "w9"):
-        numbers = [int(stamp.split()[1]) for stamp in made if stamp.startswith(walker)]
+        numbers = [int(stamp.split()[1]) for stamp in recorded if stamp.startswith(walker)]
         assert numbers == list(range(len(numbers)))
         assert len(numbers) > 75
 
@@ -130,9 +130,9 @@ def test_cut_and_broken_links_alone_repeat_no_call(mission: Mission) -> None:
     fleet = Fleet(mission, seed=5, watch=one_copy)
     FaultRates(cut=2.0, reset=2.0, one_way=3.0, slow=3.0).inject(fleet, random.Random(5))
     fleet.run(100.0)
-    made = stamps(fleet)
-    assert set(made.values()) == {1}
-    assert sum(made.values()) > 300
+    recorded = stamps(fleet)
+    assert set(recorded.values()) == {1}
+    assert sum(recorded.values()) > 300
 
 
 @pytest.mark.few(0)

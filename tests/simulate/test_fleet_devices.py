@@ -131,13 +131,13 @@ def test_under_random_faults_a_device_has_one_owner_and_moves_only_for_it(
                 assert fleet.now - since < 1.01, f"{name} moves without an owner since {since:.3f} s"
 
     fleet = Fleet(mission, seed, watch)
-    weather = FaultRates(cut=5.0, kill=10.0, stop=8.0, power=10.0, guard_kill=6.0, guard_stop=6.0)
-    storm = weather.inject(fleet, random.Random(seed))
+    rates = FaultRates(cut=5.0, kill=10.0, stop=8.0, power=10.0, guard_kill=6.0, guard_stop=6.0)
+    storm = rates.inject(fleet, random.Random(seed))
     fleet.run(60.0)
     assert {what.split()[0] for _, what in storm.faults} == {"cut", "kill", "stop", "power"}
     storm.end()
     fleet.run(20.0)
-    owners = [told.owner for told in fleet.hardware["a.fc"].record]
+    owners = [command.owner for command in fleet.hardware["a.fc"].record]
     assert all(one <= other for one, other in pairwise(owners)), (
         "an earlier owner commanded after a later one"
     )

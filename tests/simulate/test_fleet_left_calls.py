@@ -37,7 +37,7 @@ def test_a_portal_with_a_detached_caller_commands_no_device(tmp_path: Path) -> N
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 3)
 
     def climbs() -> int:
-        return sum(told.what == "takeoff" for told in fleet.hardware["p.fc"].record)
+        return sum(command.what == "takeoff" for command in fleet.hardware["p.fc"].record)
 
     def count_logged(text: str) -> int:
         return sum(text in line for _, _, line in fleet.log)

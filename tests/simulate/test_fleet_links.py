@@ -97,10 +97,10 @@ def test_an_idle_host_sends_at_most_eight_messages_between_two_heartbeats(tmp_pa
 def test_walkers_reach_all_hosts_with_each_call_made_once_and_unneeded_links_closed(tmp_path):
     fleet = Fleet(team(tmp_path, 24, "w0@host0?w0 w9@host9?w9 w20@host20?w20", WALKER), 1, one_copy)
     fleet.run(60.0)
-    made = stamps(fleet)
-    assert set(made.values()) == {1}
+    recorded = stamps(fleet)
+    assert set(recorded.values()) == {1}
     for walker in ("w0", "w9", "w20"):
-        numbers = [int(stamp.split()[1]) for stamp in made if stamp.startswith(walker)]
+        numbers = [int(stamp.split()[1]) for stamp in recorded if stamp.startswith(walker)]
         assert sorted(numbers) == list(range(1, len(numbers) + 1))
         assert len(numbers) > 100
     assert not logged(fleet, " lost\n")
@@ -212,6 +212,6 @@ def test_cut_and_broken_links_alone_repeat_no_call(tmp_path):
     fleet = Fleet(team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER), 5, one_copy)
     FaultRates(cut=1.0, reset=1.0, one_way=2.0, slow=2.0).inject(fleet, random.Random(5))
     fleet.run(60.0)
-    made = stamps(fleet)
-    assert set(made.values()) == {1}
-    assert sum(made.values()) > 50
+    recorded = stamps(fleet)
+    assert set(recorded.values()) == {1}
+    assert sum(recorded.values()) > 50

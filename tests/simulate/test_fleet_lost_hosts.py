@@ -83,9 +83,9 @@ def test_a_host_killed_seven_seconds_ago_is_waited_for_only_the_rest_of_the_time
     fleet.run(met + 5.0 - (3.0 if end == "power_off" else 0.0) - fleet.now)
     getattr(fleet, end)("bravo")
     fleet.run(20.0)
-    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
-    assert threw - asked < 0.1
-    before, seconds, after = re.split(r"([\d.]+)", why)
+    (asked_at, _), (threw, reason) = logged(fleet, "asks"), logged(fleet, "threw")
+    assert threw - asked_at < 0.1
+    before, seconds, after = re.split(r"([\d.]+)", reason)
     assert before == "bravo could not be reached: there has been no link for "
     assert 6.0 < float(seconds) < 8.0
     assert after == " s; is it up?"
@@ -97,10 +97,10 @@ def test_a_together_does_not_wait_for_an_absent_host_without_begun_calls(tmp_pat
     fleet.run(logged(fleet, "met")[0] + 5.0 - fleet.now)
     fleet.crash("bravo")
     fleet.run(20.0)
-    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
-    assert threw - asked < 0.6, "as long as the other call takes"
+    (asked_at, _), (threw, reason) = logged(fleet, "asks"), logged(fleet, "threw")
+    assert threw - asked_at < 0.6, "as long as the other call takes"
     assert re.fullmatch(
-        r"bravo could not be reached: there has been no link for .* \(far.look\(\) has not begun\)", why
+        r"bravo could not be reached: there has been no link for .* \(far.look\(\) has not begun\)", reason
     )
 
 
@@ -112,10 +112,10 @@ def test_the_time_of_an_absent_host_counts_from_the_end_of_its_link(tmp_path):
     fleet.crash("bravo")
     killed = fleet.now
     fleet.run(20.0)
-    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
-    assert asked - killed < 5.0
+    (asked_at, _), (threw, reason) = logged(fleet, "asks"), logged(fleet, "threw")
+    assert asked_at - killed < 5.0
     assert threw - killed == pytest.approx(10.0, abs=0.3)
-    assert why == "bravo could not be reached within 10 s; is it up?"
+    assert reason == "bravo could not be reached within 10 s; is it up?"
 
 
 def test_a_host_that_returns_in_time_is_called(tmp_path):
@@ -137,9 +137,9 @@ def test_a_host_that_has_surely_ended_is_not_waited_for(tmp_path):
     alpha = fleet.runs["alpha"]
     alpha.process.loop.enter(lambda: alpha.host.dispatch(HostExited("bravo")))
     fleet.run(10.0)
-    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
-    assert threw - asked < 0.1
-    assert why == "bravo could not be reached: it has ended"
+    (asked_at, _), (threw, reason) = logged(fleet, "asks"), logged(fleet, "threw")
+    assert threw - asked_at < 0.1
+    assert reason == "bravo could not be reached: it has ended"
 
 
 def test_a_host_that_was_never_linked_is_waited_for_once(tmp_path):
@@ -148,13 +148,13 @@ def test_a_host_that_was_never_linked_is_waited_for_once(tmp_path):
     fleet = fleet_of(tmp_path, "0.1", twice, re.sub(r'print\("met .*', "", PROGRAM))
     fleet.crash("bravo")
     fleet.run(25.0)
-    (asked, _), (first, why), (threw, again) = (
+    (asked_at, _), (first, reason), (threw, again) = (
         logged(fleet, "asks"),
         logged(fleet, "first"),
         logged(fleet, "threw"),
     )
-    assert first - asked == pytest.approx(10.0, abs=0.3)
-    assert why == "bravo could not be reached within 10 s; is it up?"
+    assert first - asked_at == pytest.approx(10.0, abs=0.3)
+    assert reason == "bravo could not be reached within 10 s; is it up?"
     assert threw - first < 0.1
     assert again.startswith("bravo could not be reached: there has been no link for 1")
 
@@ -162,10 +162,10 @@ def test_a_host_that_was_never_linked_is_waited_for_once(tmp_path):
 def test_begun_calls_on_an_absent_host_are_waited_for(tmp_path):
     fleet = fleet_of(tmp_path, "0.1&7.0&1.0", BEGUN)
     start_of(fleet)
-    asked = logged(fleet, "asks")[0]
-    fleet.run(max(0.0, asked + 0.5 - fleet.now))
+    asked_at = logged(fleet, "asks")[0]
+    fleet.run(max(0.0, asked_at + 0.5 - fleet.now))
     fleet.cut("alpha", "bravo")
-    fleet.run(asked + 12.0 - fleet.now)
+    fleet.run(asked_at + 12.0 - fleet.now)
     fleet.heal("alpha", "bravo")
     fleet.run(5.0)
     assert logged(fleet, "got")[1] == "7"

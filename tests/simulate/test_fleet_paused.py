@@ -49,11 +49,11 @@ def test_the_devices_of_a_host_restarted_during_a_pause_are_held(tmp_path: Path)
     assert latched(fleet) == "the mission is paused"
     fleet.crash("alpha")
     fleet.boot("alpha")
-    began = len(fleet.log)
+    started = len(fleet.log)
     fleet.run(10.0)
     assert latched(fleet) == "the mission is paused"
-    assert not [text for _, _, text in fleet.log[began:] if "climbs" in text]
+    assert not [text for _, _, text in fleet.log[started:] if "climbs" in text]
     say(fleet.runs["alpha"], lift=True)
     fleet.run(10.0)
     assert latched(fleet) == ""
-    assert [text for _, _, text in fleet.log[began:] if "climbs" in text]
+    assert [text for _, _, text in fleet.log[started:] if "climbs" in text]

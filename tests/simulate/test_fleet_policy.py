@@ -55,7 +55,7 @@ def on_its_way(fleet: Fleet) -> None:
 
 
 def became(fleet: Fleet, device: str) -> list[tuple[float, str]]:
-    return [(told.at, told.what) for told in fleet.hardware[device].record if told.what != "goTo"]
+    return [(command.at, command.what) for command in fleet.hardware[device].record if command.what != "goTo"]
 
 
 def latched(fleet: Fleet, host: str) -> dict[str, str]:

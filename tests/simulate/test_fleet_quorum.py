@@ -101,12 +101,12 @@ def test_a_home_that_is_no_member_starts_and_ends_coordinators_under_leases(tmp_
 def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: Path, seed: int) -> None:
     fleet = Fleet(mission(tmp_path), seed)
     run_until(fleet, f"stamp {7 + seed}\n", 30.0)
-    gone, at = holder(fleet), fleet.now
-    fleet.power_off(gone)
-    told = run_until(fleet, "was recovered on", 20.0)
+    lost, at = holder(fleet), fleet.now
+    fleet.power_off(lost)
+    recovered_at = run_until(fleet, "was recovered on", 20.0)
     # The walker may have made one more call before it hopped to the lost host.
-    last = max([at, *(when + 0.35 for when, _, _ in logged(fleet, "stamp ") if when < told)])
-    assert told - last <= INTERVAL + 3.0
+    last = max([at, *(when + 0.35 for when, _, _ in logged(fleet, "stamp ") if when < recovered_at)])
+    assert recovered_at - last <= INTERVAL + 3.0
     run_until(fleet, "complete", 90.0)
     stamped = [text.strip() for _, _, text in logged(fleet, "stamp ")]
     assert len(stamped) - len(set(stamped)) <= 1
@@ -117,19 +117,19 @@ def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: 
 def test_the_end_of_the_mission_is_not_unknown_while_a_majority_may_recover(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 1, options=FleetOptions(lost_after=3.0))
     run_until(fleet, "stamp 7\n", 30.0)
-    gone = holder(fleet)
-    fleet.crash(gone)
+    lost = holder(fleet)
+    fleet.crash(lost)
     run_until(fleet, "complete", 90.0)
     fleet.run(10.0)
-    assert fleet.left == dict.fromkeys({"alpha", "bravo", "charlie"} - {gone}, exit_status.DONE)
+    assert fleet.left == dict.fromkeys({"alpha", "bravo", "charlie"} - {lost}, exit_status.DONE)
 
 
 def test_the_end_of_the_mission_is_unknown_without_a_majority(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 1, options=FleetOptions(lost_after=3.0))
     run_until(fleet, "stamp 7\n", 30.0)
-    gone = holder(fleet)
-    left, also_gone = sorted({"alpha", "bravo", "charlie"} - {gone})
-    fleet.crash(gone)
+    lost = holder(fleet)
+    left, also_gone = sorted({"alpha", "bravo", "charlie"} - {lost})
+    fleet.crash(lost)
     fleet.crash(also_gone)
     fleet.run(20.0)
     assert fleet.left == {left: exit_status.UNKNOWN_OUTCOME}
@@ -139,13 +139,13 @@ def test_the_end_of_the_mission_is_unknown_without_a_majority(tmp_path: Path) ->
 def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 3)
     run_until(fleet, "stamp 10\n", 30.0)
-    gone = holder(fleet)
-    fleet.power_off(gone)
+    lost = holder(fleet)
+    fleet.power_off(lost)
     run_until(fleet, "was recovered on", 20.0)
-    fleet.boot(gone)
+    fleet.boot(lost)
     run_until(fleet, "complete", 90.0)
     fleet.run(5.0)
-    (row,) = (k for k in fleet.runs[gone].core.mobility.known_states() if k.generation == 1)
+    (row,) = (k for k in fleet.runs[lost].core.mobility.known_states() if k.generation == 1)
     assert (row.state, row.outcome) == ("EXITED", "superseded")
     assert len(logged(fleet, "complete")) == 1
 
@@ -154,9 +154,9 @@ def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
 def test_a_host_that_returns_in_time_continues_itself(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 4)
     run_until(fleet, "stamp 10\n", 30.0)
-    gone = holder(fleet)
-    fleet.crash(gone)
-    fleet.boot(gone)
+    lost = holder(fleet)
+    fleet.crash(lost)
+    fleet.boot(lost)
     run_until(fleet, "resumed from the journal", 10.0)
     run_until(fleet, "complete", 90.0)
     assert not logged(fleet, "was recovered on")
@@ -173,8 +173,8 @@ def test_a_host_cut_off_stops_and_its_devices_are_safe_before_another_continues(
     assert at < lost <= at + LEASE * 1.01 + 0.1 < gone_on
     fleet.run(10.0)
     record = fleet.hardware[f"{cut[0]}.fc"].record
-    assert not [told for told in record if told.what == "takeoff" and told.at > lost]
-    assert any(told.at >= lost for told in record)
+    assert not [command for command in record if command.what == "takeoff" and command.at > lost]
+    assert any(command.at >= lost for command in record)
     fleet.heal_all()
     run_until(fleet, "complete", 200.0)
 
@@ -221,8 +221,8 @@ def test_a_member_that_lost_its_promises_grants_no_lease_before_all_have_answere
     stamped = len(logged(fleet, "stamp "))
     fleet.run(10.0)
     assert len(logged(fleet, "stamp ")) == stamped
-    ((_, where, why),) = logged(fleet, "is new or has lost a vote")
-    assert (where, "and alpha must respond" in why) == (other, True)
+    ((_, where, reason),) = logged(fleet, "is new or has lost a vote")
+    assert (where, "and alpha must respond" in reason) == (other, True)
     fleet.boot("alpha")
     run_until(fleet, "complete", 120.0)
 
@@ -230,23 +230,23 @@ def test_a_member_that_lost_its_promises_grants_no_lease_before_all_have_answere
 def test_after_a_permanent_loss_the_others_continue_with_new_members(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 13)
     run_until(fleet, "stamp 5\n", 30.0)
-    kept = holder(fleet)
-    other, gone = sorted({"alpha", "bravo", "charlie"} - {kept})
-    fleet.lose(gone)
+    holding = holder(fleet)
+    other, lost = sorted({"alpha", "bravo", "charlie"} - {holding})
+    fleet.lose(lost)
     fleet.power_off(other)
     fleet.lose_disk(other)
     fleet.boot(other)
-    run_until(fleet, f"and {gone} must respond", 20.0)
+    run_until(fleet, f"and {lost} must respond", 20.0)
     assert logged(fleet, "restart all hosts with a 'recovery: {members: [...]}' without it")
     fleet.run(20.0)
     assert not logged(fleet, "complete")
     # A host with the old members gets no link: the two cannot be in one majority.
-    recovery = structs.replace(fleet.mission.bindings.recovery, members=(other, kept))
+    recovery = structs.replace(fleet.mission.bindings.recovery, members=(other, holding))
     fleet.mission = fleet.mission.with_bindings(structs.replace(fleet.mission.bindings, recovery=recovery))
-    for name in (other, kept):
+    for name in (other, holding):
         fleet.stop(name)
     fleet.run(10.0)
-    for name in (other, kept):
+    for name in (other, holding):
         fleet.boot(name)
     run_until(fleet, "complete", 120.0)
 
@@ -268,18 +268,18 @@ def test_a_new_computer_with_the_name_of_a_member_counts_as_a_new_member(tmp_pat
 def test_a_member_with_an_unreadable_promise_grants_no_lease_before_all_have_answered(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 12)
     run_until(fleet, "stamp 5\n", 30.0)
-    gone = holder(fleet)
-    fleet.power_off(gone)
+    lost = holder(fleet)
+    fleet.power_off(lost)
     run_until(fleet, "was recovered on", 20.0)
-    (one, other) = {"alpha", "bravo", "charlie"} - {gone}
+    (one, other) = {"alpha", "bravo", "charlie"} - {lost}
     promised = one if other == holder(fleet) else other
     fleet.crash(promised)
     fleet.disks[promised].damage(RecordKey("fence", "walker"))
     # The successor is cut off, and the old holder has returned: it must not act.
-    for name in (gone, promised):
+    for name in (lost, promised):
         fleet.cut(holder(fleet), name)
     at = fleet.now
-    fleet.boot(gone)
+    fleet.boot(lost)
     fleet.boot(promised)
     fleet.run(30.0)
     assert logged(fleet, "is new or has lost a vote")
@@ -292,11 +292,11 @@ def test_a_member_with_an_unreadable_promise_grants_no_lease_before_all_have_ans
 def test_a_coordinator_with_interval_zero_waits_for_its_host(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, interval=-1.0), 8)
     run_until(fleet, "stamp 10\n", 30.0)
-    gone = holder(fleet)
-    fleet.power_off(gone)
+    lost = holder(fleet)
+    fleet.power_off(lost)
     fleet.run(30.0)
     assert not logged(fleet, "was recovered on")
-    fleet.boot(gone)
+    fleet.boot(lost)
     run_until(fleet, "complete", 90.0)
 
 
@@ -304,8 +304,8 @@ def test_a_witness_is_a_member(tmp_path: Path) -> None:
     team = "//Post:a@alpha\n//Post:b@bravo\n//@charlie\n//Walker:walker@alpha\n"
     fleet = Fleet(mission(tmp_path, team=team), 9)
     run_until(fleet, "stamp 10\n", 30.0)
-    gone = holder(fleet)
-    fleet.power_off(gone)
+    lost = holder(fleet)
+    fleet.power_off(lost)
     run_until(fleet, "complete", 90.0)
     assert logged(fleet, "was recovered on")
 

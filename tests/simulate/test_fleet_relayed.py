@@ -189,12 +189,12 @@ def judged(team: Team, phase: Callable[[Team, Callable[[], None]], None], ways: 
     noticed = team.cut_at + (0.1 if ways == "both" else NOTICED_WITHIN)
     team.watch_for(noticed + KNOWN_WITHIN - team.now)
     assert team.waiting() == [], f"{[team.known(host) for host in ('a', 'b')]}"
-    visits = sum("visit" in text for _, _, text in team.log)
+    visit_count = sum("visit" in text for _, _, text in team.log)
     team.watch_for(16.0)
     assert team.waiting() == []
-    assert sum("visit" in text for _, _, text in team.log) > visits
-    made = [text for _, _, text in team.log if text.startswith("visit ") and "-1" not in text]
-    assert len(made) == len(set(made)), "a portal was called twice"
+    assert sum("visit" in text for _, _, text in team.log) > visit_count
+    visit_lines = [text for _, _, text in team.log if text.startswith("visit ") and "-1" not in text]
+    assert len(visit_lines) == len(set(visit_lines)), "a portal was called twice"
 
 
 @pytest.mark.few(5)

@@ -163,8 +163,13 @@ def test_a_boss_that_ends_leaves_no_call_running_also_on_an_unreachable_host(tmp
     team.until("gives 2")
     team.run(1.0)
     assert "fetches from bravo" in [agent.state for agent in team.runs["carol"].host.status().agents]
-    (begun,) = team.runs["bravo"].host.status().pending_calls
-    assert (begun.agent, begun.resource, begun.portal, begun.state) == ("boss", "one", "work", "running")
+    (pending_call,) = team.runs["bravo"].host.status().pending_calls
+    assert (pending_call.agent, pending_call.resource, pending_call.portal, pending_call.state) == (
+        "boss",
+        "one",
+        "work",
+        "running",
+    )
     team.until("boss: unreachable 0 0")
     team.run(5.0)
     assert team.count_logged("leaves 1") == 0
@@ -182,12 +187,12 @@ def test_a_time_limit_ends_a_call_on_an_unreachable_host(tmp_path: Path) -> None
     team.until("sets 2")
     team.cut("bravo", "carol")
     team.cut("bravo", "alpha")
-    began = team.now
+    started = team.now
     team.until("leaves 1: the time limit of boss is over")
-    assert team.now < began + 5.5
+    assert team.now < started + 5.5
     team.until("boss: late")
     # After the limit the boss hopped to cancel the call, with the usual wait for the host.
-    assert team.now < began + 5.0 + 2 * 10.0 + 2.0
+    assert team.now < started + 5.0 + 2 * 10.0 + 2.0
 
 
 def test_a_limit_noticed_first_by_the_host_of_a_call_is_reported_as_one(tmp_path: Path) -> None:
@@ -205,10 +210,10 @@ def test_a_time_limit_includes_the_downtime_of_the_boss_host(tmp_path: Path) -> 
     team.run(10.0)
     assert team.count_logged("leaves 1: the time limit of boss is over")
     team.boot("carol")
-    began = team.now
+    started = team.now
     team.until("boss: ")
     assert team.count_logged("boss: late")
-    assert team.now < began + 4.0
+    assert team.now < started + 4.0
 
 
 def order(life: HostRun, *, lift: bool) -> EmergencyStop | Pause:
@@ -265,7 +270,7 @@ def test_a_device_used_for_a_remote_boss_is_safe_when_the_lease_of_its_host_ends
     assert "the lease of bravo has ended" in device.latched
     assert "it was used for boss" in device.latched
     assert team.begun("bravo") == ["thrown"]
-    climbs = [told.at for told in team.hardware["one.fc"].record if told.what == "takeoff"]
+    climbs = [command.at for command in team.hardware["one.fc"].record if command.what == "takeoff"]
     assert len(climbs) > 1
     assert climbs[-1] < team.now - 1.0
     for host in ("alpha", "carol"):

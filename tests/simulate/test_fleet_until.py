@@ -62,7 +62,7 @@ def called_at(fleet: Fleet) -> dict[float, float]:
 def begun_at(fleet: Fleet) -> dict[float, float]:
     """The time at which the vehicle received each command."""
     record = fleet.hardware["p.fc"].record
-    return {float(str(told.arguments[0])): told.at for told in record if told.what == "takeoff"}
+    return {float(str(command.arguments[0])): command.at for command in record if command.what == "takeoff"}
 
 
 def frees(mission: Mission, seed: int) -> Fleet:
@@ -89,8 +89,8 @@ def test_a_call_delayed_in_the_pipe_of_a_suspended_guard_is_not_executed(
     assert 1.0 in called_at(fleet)
     assert 1.0 not in begun_at(fleet)
     # By the clock of its computer, which may be slow or fast.
-    told = r"takeoff\(\) had to start within 0\.5 s, but reached its guard after 0\.(79|80)\d? s"
-    assert re.search(told, refusals(fleet))
+    text = r"takeoff\(\) had to start within 0\.5 s, but reached its guard after 0\.(79|80)\d? s"
+    assert re.search(text, refusals(fleet))
 
 
 @pytest.mark.few(1)
@@ -99,8 +99,8 @@ def test_under_any_suspension_no_call_begins_after_its_time(mission: Mission, se
     fleet = Fleet(mission, seed)
     storm = FaultRates(guard_stop=1.5, stop=4.0).inject(fleet, random.Random(seed))
     fleet.run(120.0)
-    called, begun = called_at(fleet), begun_at(fleet)
-    late = {n: at - called[n] for n, at in begun.items() if at - called[n] > TTL * 1.001}
+    called, started_times = called_at(fleet), begun_at(fleet)
+    late = {n: at - called[n] for n, at in started_times.items() if at - called[n] > TTL * 1.001}
     assert late == {}
     assert len(storm.faults) > 40
-    assert len(begun) > 10
+    assert len(started_times) > 10

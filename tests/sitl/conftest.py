@@ -99,19 +99,19 @@ class Field:
         """A mission for the first vehicle."""
         return Mission.on(self.vehicle, self.folder(), program, agents, endpoint)
 
-    def lfield(self, *words: str | Path) -> Command:
+    def lfield(self, *arguments: str | Path) -> Command:
         """Starts a command of lfield."""
         for simulator in self.simulators:
             assert not simulator.failure, simulator.failure
-        return Command(self.folder(), *words)
+        return Command(self.folder(), *arguments)
 
     def up(self, mission: Mission, *options: str) -> Command:
         """Starts the host of a mission."""
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
-        words = ("--deploy", mission.deploy, "--host", "here", "--map", f"here=127.0.0.1:{port}")
-        return self.lfield("up", *words, *options)
+        arguments = ("--deploy", mission.deploy, "--host", "here", "--map", f"here=127.0.0.1:{port}")
+        return self.lfield("up", *arguments, *options)
 
     @contextmanager
     def rest_of_team(self, example: str) -> Iterator[None]:

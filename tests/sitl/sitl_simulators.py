@@ -192,13 +192,13 @@ def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
     parameters = [PARAMETERS / f"{simulator.kind.name}.parm"]
     # A source tree beside the build has the default parameters of ArduPilot's own tests.
     stock = Path(binary).resolve().parents[3:4]
-    beside = [tree / "Tools/autotest/default_params" / f"{simulator.kind.vehicle}.parm" for tree in stock]
-    parameters = [*(file for file in beside if file.is_file()), *parameters]
-    words = (
+    others = [tree / "Tools/autotest/default_params" / f"{simulator.kind.vehicle}.parm" for tree in stock]
+    parameters = [*(file for file in others if file.is_file()), *parameters]
+    arguments = (
         f"--model {simulator.kind.model} --speedup 1 --wipe --instance {simulator.instance} "
         f"--sysid {simulator.system} --serial0 tcp:0"
     )
-    return [binary, *words.split(), "--defaults", ",".join(map(str, parameters)), *options], {}
+    return [binary, *arguments.split(), "--defaults", ",".join(map(str, parameters)), *options], {}
 
 
 def px4(simulator: Simulator, folder: Path) -> tuple[list[str], Mapping[str, str]]:

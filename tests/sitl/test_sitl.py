@@ -45,9 +45,9 @@ def test_kit(field, figure):
         "waivers=[device_watchdog]",
         f"limits={{speed: {SPEED}, altitude: 30, radius: 100}}",
     ]
-    words = [word for setting in settings for word in ("--set", setting)]
+    arguments = [argument for setting in settings for argument in ("--set", setting)]
     kit = field.lfield(
-        "kit", "mavlink", "--endpoint", simulator.endpoint, *words, "--silence", "1.0", "--yes"
+        "kit", "mavlink", "--endpoint", simulator.endpoint, *arguments, "--silence", "1.0", "--yes"
     )
     status = kit.wait(600.0)
     figure(kit.output.splitlines()[-1] if kit.output else "no output")
@@ -140,8 +140,8 @@ def test_example(field, figure, name):
     with field.rest_of_team(name):
         field.lfield("setup", "--deploy", deploy, "--devices", bindings, "--yes").succeeds(120.0)
         start = time.monotonic()
-        words = ("up", "--deploy", deploy, "--devices", bindings, "--all", "--until-done")
-        field.lfield(*words).succeeds(400.0)
+        arguments = ("up", "--deploy", deploy, "--devices", bindings, "--all", "--until-done")
+        field.lfield(*arguments).succeeds(400.0)
         figure(f"{time.monotonic() - start:.0f} s")
 
 

@@ -159,9 +159,18 @@ def test_ended_simulator_reports_its_last_output(tmp_path):
 def run_checks(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
     """Runs the checks as `make test-sitl` does for this simulator."""
     environment = {**os.environ, "ARDUCOPTER": arducopter, "LFIELD_SITL": "yes", "ONLY": only}
-    words = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", str(HERE / "test_sitl.py")]
+    arguments = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-n",
+        "0",
+        "-p",
+        "no:cacheprovider",
+        str(HERE / "test_sitl.py"),
+    ]
     return subprocess.run(
-        words, env=environment, cwd=HERE.parents[1], capture_output=True, text=True, check=False
+        arguments, env=environment, cwd=HERE.parents[1], capture_output=True, text=True, check=False
     )
 
 

@@ -39,14 +39,14 @@ async def moves(servo):
     return servo.now
 
 
-def test_a_story_has_guarded_devices_and_returns_its_result(desk, servo):
-    began = desk.clock.monotonic()
+def test_a_scenario_has_guarded_devices_and_returns_its_result(desk, servo):
+    started = desk.clock.monotonic()
     ended = desk.run(moves, servo)
-    assert 1.0 < ended - began < 3.0
+    assert 1.0 < ended - started < 3.0
     assert 1.0 < desk.now < 5.0
 
 
-def test_the_same_seed_gives_the_same_story():
+def test_the_same_seed_gives_the_same_scenario():
     def ends(seed):
         desk = Desk(seed=seed)
         endpoint = desk.fake("dynamixel", *SERVO).endpoint
@@ -59,8 +59,8 @@ def test_the_same_seed_gives_the_same_story():
 
 
 @pytest.mark.few(0)
-def test_faults_are_set_in_a_story_and_at_a_time(desk, fake, servo):
-    async def story(servo):
+def test_faults_are_set_in_a_scenario_and_at_a_time(desk, fake, servo):
+    async def scenario(servo):
         await servo.call("torque", True)
         fake.fault("stuck=true")
         with pytest.raises(DeviceError, match="an obstacle blocks it"):
@@ -68,11 +68,11 @@ def test_faults_are_set_in_a_story_and_at_a_time(desk, fake, servo):
         desk.at(desk.now + 5.0, lambda: fake.fault("stuck=false", "dead=true"))
         return await servo.reads("age", lambda age: age > 3.0)
 
-    assert desk.run(story, servo) > 3.0
+    assert desk.run(scenario, servo) > 3.0
     assert fake.facts("1")["torque"] in (True, False)
 
 
-def test_an_exception_and_a_timeout_of_a_story_are_raised(desk, servo):
+def test_an_exception_and_a_timeout_of_a_scenario_are_raised(desk, servo):
     async def wrong(servo):
         return servo.query("wings")
 
@@ -89,9 +89,9 @@ def test_an_exception_and_a_timeout_of_a_story_are_raised(desk, servo):
 
 
 def test_a_missing_device_is_reported_as_by_lfield_kit(desk, servo):
-    nobody = bind(PLUGIN, "Dynamixel", endpoint="serial:/dev/none:57600", options={"id": 1})
+    unused = bind(PLUGIN, "Dynamixel", endpoint="serial:/dev/none:57600", options={"id": 1})
     with pytest.raises(DevicesError, match="No such file or directory"):
-        desk.try_kit(nobody)
+        desk.try_kit(unused)
 
 
 def test_two_fakes_cannot_have_one_port(desk, fake):
@@ -145,11 +145,11 @@ def test_an_unknown_fault_is_refused_where_it_is_set(desk, fake, servo):
     with pytest.raises(MissionTestError, match="the simulated device 'dynamixel': there is no fault 'wings'"):
         fake.fault("wings=true")
 
-    async def story(servo):
+    async def scenario(servo):
         with pytest.raises(MissionTestError, match="there is no device '9'"):
             fake.fault("stuck@9=true")
 
-    desk.run(story, servo)
+    desk.run(scenario, servo)
 
 
 def test_a_fake_without_serve_and_a_failing_fake_are_reported(desk):
@@ -181,12 +181,12 @@ def test_a_fake_without_serve_and_a_failing_fake_are_reported(desk):
 
 
 def test_a_real_endpoint_is_refused(desk):
-    async def story():
-        with socket.socket() as door:
-            door.connect(("127.0.0.1", 9))
+    async def scenario():
+        with socket.socket() as listener:
+            listener.connect(("127.0.0.1", 9))
 
     with pytest.raises(RealEndpoint, match="it tried to connect"):
-        desk.run(story)
+        desk.run(scenario)
 
 
 def test_a_closed_desk_frees_its_simulated_devices(desk, fake, servo):

@@ -72,9 +72,9 @@ def pumps(tmp_path):
 )
 def test_an_invalid_request_to_a_team_is_reported(pumps, ask, told):
     team = pumps()
-    with pytest.raises(MissionTestError) as caught:
+    with pytest.raises(MissionTestError) as error:
         ask(team)
-    assert str(caught.value).startswith(told)
+    assert str(error.value).startswith(told)
     team.run(until="got 3")
 
 
@@ -93,9 +93,9 @@ def test_an_invalid_request_to_a_team_is_reported(pumps, ask, told):
     ],
 )
 def test_a_team_that_cannot_be_made_is_reported(pumps, options, told):
-    with pytest.raises(MissionTestError) as caught:
+    with pytest.raises(MissionTestError) as error:
         pumps(**options)
-    assert str(caught.value).startswith(told)
+    assert str(error.value).startswith(told)
 
 
 def test_a_fault_must_be_a_text(lfield_mission):
@@ -213,9 +213,9 @@ def test_a_failing_fake_is_named(lfield_mission, monkeypatch, cause, early):
     monkeypatch.setattr(kind, "serve", fails)
     with pytest.raises(
         (MissionTestError, pytest.fail.Exception), match=r"(lead|wing)\.fc.*: no water"
-    ) as caught:
+    ) as error:
         lfield_mission(FLIGHT).run(5.0)
-    assert early or caught.value.__cause__ is cause
+    assert early or error.value.__cause__ is cause
 
 
 @pytest.mark.parametrize(

@@ -76,9 +76,9 @@ def test_a_dict_of_other_types_is_refused(tmp_path: Path, returned: object, prob
         wrong=lambda: returned,
     )
     team = SmallTeam(tmp_path, PROGRAM, DEPLOYMENT, {"pump": double})
-    with pytest.raises(DoubleError) as caught:
+    with pytest.raises(DoubleError) as error:
         team.until("no such line")
-    assert problem in str(caught.value)
+    assert problem in str(error.value)
 
 
 # --- enums ----------------------------------------------------------------------------------------------

@@ -144,23 +144,23 @@ DEEDS: dict[str, tuple[Callable[[], object], str]] = {
 @pytest.mark.parametrize("name", DEEDS)
 def test_real_access_is_refused_also_if_the_code_suppresses_the_error(still, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    deed, said = DEEDS[name]
-    came = []
+    operation, text = DEEDS[name]
+    received = []
 
     def silently() -> None:
         try:
-            came.append(deed())
+            received.append(operation())
         except Exception:
             return
 
     still.at(0.5, silently)
-    with pytest.raises(RealEndpoint, match=f"it tried to {said}"):
+    with pytest.raises(RealEndpoint, match=f"it tried to {text}"):
         still.run(1.0)
-    assert not came
+    assert not received
 
 
 def test_a_socket_connected_before_is_refused(connected, still):
-    for deed in (
+    for operation in (
         lambda: connected.send(b"x"),
         lambda: connected.sendall(b"x"),
         lambda: connected.recv(1),
@@ -168,18 +168,18 @@ def test_a_socket_connected_before_is_refused(connected, still):
         lambda: connected.recvmsg(1),
         lambda: connected.recvmsg_into([bytearray(1)]),
     ):
-        still.at(still.now + 0.5, deed)
+        still.at(still.now + 0.5, operation)
         with pytest.raises(RealEndpoint, match="it tried to use a socket"):
             still.run(1.0)
-    for deed in (lambda: connected.sendto(b"x", ("", 1)), lambda: connected.sendmsg([b"x"])):
-        still.at(still.now + 0.5, deed)
+    for operation in (lambda: connected.sendto(b"x", ("", 1)), lambda: connected.sendmsg([b"x"])):
+        still.at(still.now + 0.5, operation)
         with pytest.raises(RealEndpoint, match="it tried to send to"):
             still.run(1.0)
 
 
 def test_a_socket_accepted_before_is_refused(accepted, still):
-    for deed in (lambda: accepted.send(b"x"), lambda: accepted.recv(1), lambda: accepted.recvmsg(1)):
-        still.at(still.now + 0.5, deed)
+    for operation in (lambda: accepted.send(b"x"), lambda: accepted.recv(1), lambda: accepted.recvmsg(1)):
+        still.at(still.now + 0.5, operation)
         with pytest.raises(RealEndpoint, match="it tried to use a socket"):
             still.run(1.0)
     still.at(still.now + 0.5, lambda: accepted.sendmsg([b"x"]))
@@ -189,13 +189,13 @@ def test_a_socket_accepted_before_is_refused(accepted, still):
 
 def test_a_process_started_before_cannot_be_ended(sleeper, still):
     descriptor = os.pidfd_open(sleeper.pid)
-    for deed in (
+    for operation in (
         sleeper.terminate,
         lambda: os.kill(sleeper.pid, signal.SIGKILL),
         lambda: os.killpg(sleeper.pid, signal.SIGKILL),
         lambda: signal.pidfd_send_signal(descriptor, signal.SIGKILL),
     ):
-        still.at(still.now + 0.5, deed)
+        still.at(still.now + 0.5, operation)
         with pytest.raises(RealEndpoint, match="it tried to send a signal to"):
             still.run(1.0)
     os.close(descriptor)
@@ -246,9 +246,9 @@ def door():
         yield one
 
 
-def has_been_knocked_at(door: socket.socket) -> bool:
+def has_been_knocked_at(address: socket.socket) -> bool:
     try:
-        door.accept()[0].close()
+        address.accept()[0].close()
     except BlockingIOError:
         return False
     return True
@@ -267,10 +267,10 @@ def test_real_access_while_a_driver_package_is_imported_is_refused(
     door, tmp_path, monkeypatch, lfield_mission
 ):
     (tmp_path / "eager_driver.py").write_text(REACHES_OUT.format(port=door.getsockname()[1]))
-    told = tmp_path / "eager-1.0.dist-info"
-    told.mkdir()
-    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: eager\nVersion: 1.0\n")
-    (told / "entry_points.txt").write_text("[lfield.drivers.v1]\neager = eager_driver:PLUGIN\n")
+    metadata = tmp_path / "eager-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: eager\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[lfield.drivers.v1]\neager = eager_driver:PLUGIN\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "still.L").write_text(PROGRAM)
     (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
@@ -309,13 +309,13 @@ def test_real_access_by_the_test_its_conditions_and_threads_is_refused(still):
     still.run(1.0)
     with pytest.raises(RealEndpoint, match="it tried to reach"):
         still.run(until=lambda: bool(socket.gethostbyname("localhost")))
-    told: list[str] = []
+    lines: list[str] = []
 
     def reach_out() -> None:
         try:
             socket.gethostbyname("localhost")
         except RealEndpoint as error:
-            told.append(str(error))
+            lines.append(str(error))
 
     for end in (lambda: still.run(1.0), still.close):
         thread = threading.Thread(target=reach_out)
@@ -323,7 +323,7 @@ def test_real_access_by_the_test_its_conditions_and_threads_is_refused(still):
         thread.join()
         with pytest.raises(RealEndpoint, match="it tried to reach"):
             end()
-    assert len(told) == 2
+    assert len(lines) == 2
 
 
 def test_a_thread_of_another_owner_is_not_restricted(tmp_path, lfield_mission):

@@ -37,10 +37,10 @@ def test_input_lines_are_prepared_or_entered_at_a_time(team):
     team.run(until="said before the start")
     team.at(team.now + 10.0, lambda: team.type_line("alpha", "later"))
     team.run(until="said later")
-    came = team.now
+    arrived_at = team.now
     team.run(until_done=True)
     assert team.said("nothing said") == 1
-    assert team.now - came == pytest.approx(30.0, rel=0.05)
+    assert team.now - arrived_at == pytest.approx(30.0, rel=0.05)
 
 
 def test_a_restart_of_the_host_ends_the_wait_and_discards_stored_lines(team):

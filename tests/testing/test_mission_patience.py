@@ -93,11 +93,11 @@ def test_a_busy_loop_at_one_instant_is_interrupted(posted):
 
 
 def test_slow_code_that_advances_is_not_interrupted(posted):
-    team, began = posted(patience=1.0), time.monotonic()
+    team, started = posted(patience=1.0), time.monotonic()
     for moment in range(1, 9):
         team.at(moment, lambda: time.sleep(0.15))
     team.run(10.0)
-    assert time.monotonic() - began > 1.0
+    assert time.monotonic() - started > 1.0
 
 
 def test_the_creation_of_a_team_has_a_time_limit(posted):

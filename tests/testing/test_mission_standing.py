@@ -109,8 +109,8 @@ def test_a_coordinator_that_waits_for_a_majority_is_reported(stuck_in):
         team.crash("charlie")
 
     lines = stuck_in("heartbeatInterval(5.0); one.work();", more="//@charlie\n", disturb=crash)
-    told = "boss is on no host: it has not started on alpha; alpha logged: boss not started: no majority of"
-    assert of("boss", lines).startswith(told)
+    text = "boss is on no host: it has not started on alpha; alpha logged: boss not started: no majority of"
+    assert of("boss", lines).startswith(text)
 
 
 def test_a_coordinator_in_transit_is_reported_once(stuck_in):

@@ -90,9 +90,9 @@ def test_a_vehicle_sent_to_anothers_position_arrives_there(team, devices):
     team = team(devices)
     starts = [points[0][1:3] for points in team.tracks.values()]
     assert min(math.dist(a, b) for a in starts for b in starts if a is not b) > 4.0
-    for who in ("car", "low", "high"):
-        moment, place = reported_position(team, who)
-        assert math.dist(place, truth(team, who, moment)) < 0.35, who
+    for name in ("car", "low", "high"):
+        moment, place = reported_position(team, name)
+        assert math.dist(place, truth(team, name, moment)) < 0.35, name
     # ArduPilot stops a rover within 2 m of its goal.
     assert math.dist(reported_position(team, "car")[1][:2], (12.0, 5.0)) < 2.1
     assert math.dist(reported_position(team, "low")[1][:2], reported_position(team, "car")[1][:2]) < 0.6
@@ -104,10 +104,10 @@ def test_a_vehicle_sent_to_anothers_position_arrives_there(team, devices):
     # Headings and velocities are of the team's north, too.
     (heading,) = reported_position(team, "heading")[1]
     assert math.remainder(heading, math.tau) == pytest.approx(0.0, abs=0.1)
-    began = reported_position(team, "heading")[0]
+    started = reported_position(team, "heading")[0]
     (met,) = [line.at for line in team.log if line.text == "boss: met"]
     # In the first second it still decelerates.
-    before, then = truth(team, "high", began + 1.0), truth(team, "high", met)
+    before, then = truth(team, "high", started + 1.0), truth(team, "high", met)
     assert then[0] - before[0] > 0.5
     assert then[1] == pytest.approx(before[1], abs=0.4)
     climbed = reported_position(team, "climbed")[1]

@@ -69,13 +69,13 @@ def test_a_closed_team_keeps_no_task_of_a_host_or_a_simulated_device(lfield_miss
 
 @pytest.mark.few(0)
 def test_the_same_seed_gives_the_same_flight_and_another_does_not(lfield_mission):
-    seen = []
+    observed = []
     for seed in (3, 3, 4):
         team = lfield_mission(FLIGHT, seed=seed)
         team.run(until_done=True)
-        seen.append((team.log, team.tracks))
-    assert seen[0] == seen[1]
-    assert seen[0][0] != seen[2][0]
+        observed.append((team.log, team.tracks))
+    assert observed[0] == observed[1]
+    assert observed[0][0] != observed[2][0]
 
 
 @pytest.mark.few(0)

@@ -40,42 +40,49 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(folder: Path, *words: str, pytest_variables: bool = False) -> tuple[int, str]:
+def run(folder: Path, *arguments: str, pytest_variables: bool = False) -> tuple[int, str]:
     """A command of Python in a project; its status and output."""
-    kept = ("PYTEST_ADDOPTS",) if pytest_variables else ()
+    kept_names = ("PYTEST_ADDOPTS",) if pytest_variables else ()
     environment = {
-        name: value for name, value in os.environ.items() if name in kept or not name.startswith("PYTEST")
+        name: value
+        for name, value in os.environ.items()
+        if name in kept_names or not name.startswith("PYTEST")
     }
     done = subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=240.0
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=240.0,
     )
     return done.returncode, done.stdout + done.stderr
 
 
 def test_a_run_without_the_plugin_has_no_fixture_and_imports_no_lfield(project):
     (project / "test_a.py").write_text("import sys\ndef test_a():\n    assert 'lfield' not in sys.modules\n")
-    _, said = run(project, "-m", "pytest", "-q")
-    assert "1 passed" in said
-    assert "fixture 'lfield_mission' not found" in said
+    _, output = run(project, "-m", "pytest", "-q")
+    assert "1 passed" in output
+    assert "fixture 'lfield_mission' not found" in output
 
 
 @pytest.mark.few(0)
 def test_a_conftest_with_the_plugin_has_the_fixture(project):
     (project / "conftest.py").write_text('pytest_plugins = ["lfield.testing.plugin"]\n')
-    status, said = run(project, "-m", "pytest", "-q", "-k", "it_ends")
-    assert status == 0, said
-    assert "1 passed" in said
+    status, output = run(project, "-m", "pytest", "-q", "-k", "it_ends")
+    assert status == 0, output
+    assert "1 passed" in output
 
 
 @pytest.mark.few(0)
 def test_lfield_test_reports_the_result_by_its_status(project):
-    status, said = run(project, "-m", "lfield", "test", "test_walk.py", "-k", "it_ends")
-    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
-    status, said = run(project, "-m", "lfield", "test")
-    assert (status, "1 failed, 1 passed" in said) == (exit_status.FAILED, True), said
-    assert "no log line contains 'never' after 120 s of the mission, which has ended" in said
-    status, said = run(project, "-m", "lfield", "test", "-k", "nothing")
-    assert status == exit_status.NO_INPUT, said
+    status, output = run(project, "-m", "lfield", "test", "test_walk.py", "-k", "it_ends")
+    assert (status, "1 passed" in output) == (exit_status.DONE, True), output
+    status, output = run(project, "-m", "lfield", "test")
+    assert (status, "1 failed, 1 passed" in output) == (exit_status.FAILED, True), output
+    assert "no log line contains 'never' after 120 s of the mission, which has ended" in output
+    status, output = run(project, "-m", "lfield", "test", "-k", "nothing")
+    assert status == exit_status.NO_INPUT, output
     assert not (project / "tracks").exists(), "nobody has moved"
 
 
@@ -83,14 +90,14 @@ def test_lfield_test_reports_the_result_by_its_status(project):
 def test_arguments_of_lfield_test_may_be_in_any_order(project):
     (project / "test_other.py").write_text("def test_it_ends_too():\n    pass\n")
     words = ("-k", "it_ends", "test_walk.py", "-x", "test_other.py", "-q")
-    status, said = run(project, "-m", "lfield", "test", *words)
-    assert (status, "2 passed, 1 deselected" in said) == (exit_status.DONE, True), said
-    assert "platform" not in said
-    status, said = run(project, "-m", "lfield", "check", "walk.L", "--json", "walk.dL")
-    assert status == exit_status.DONE, said
-    status, said = run(project, "-m", "lfield", "test", "test_walk.py", "--xyzzy", "test_other.py")
+    status, output = run(project, "-m", "lfield", "test", *words)
+    assert (status, "2 passed, 1 deselected" in output) == (exit_status.DONE, True), output
+    assert "platform" not in output
+    status, output = run(project, "-m", "lfield", "check", "walk.L", "--json", "walk.dL")
+    assert status == exit_status.DONE, output
+    status, output = run(project, "-m", "lfield", "test", "test_walk.py", "--xyzzy", "test_other.py")
     assert status == exit_status.USAGE
-    assert said.startswith("lfield: unrecognized arguments: --xyzzy")
+    assert output.startswith("lfield: unrecognized arguments: --xyzzy")
 
 
 #: Configurations of a surrounding project for plugins that are not installed, or with errors.
@@ -121,10 +128,10 @@ def test_a_configuration_that_pytest_refuses_is_ignored(project, name):
     (missions / "conftest.py").write_text(
         "import pytest\n@pytest.fixture(autouse=True)\ndef mine():\n    yield 1\n"
     )
-    status, said = run(project, "-m", "lfield", "test", "missions", "-k", "it_ends", "-v")
-    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
-    assert ("configuration ignored" in said) == (name not in ("setting", "strict")), said
-    assert "warning" not in said
+    status, output = run(project, "-m", "lfield", "test", "missions", "-k", "it_ends", "-v")
+    assert (status, "1 passed" in output) == (exit_status.DONE, True), output
+    assert ("configuration ignored" in output) == (name not in ("setting", "strict")), output
+    assert "warning" not in output
 
 
 @pytest.mark.few(0)
@@ -137,25 +144,25 @@ def test_the_rest_of_a_configuration_with_a_refused_option_is_kept(project):
     (project / "test_walk.py").write_text(
         "import pytest, of_mine\n@pytest.mark.ours\ndef test_it_ends():\n    pass\n"
     )
-    status, said = run(project, "-m", "lfield", "test")
-    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
+    status, output = run(project, "-m", "lfield", "test")
+    assert (status, "1 passed" in output) == (exit_status.DONE, True), output
 
 
 @pytest.mark.few(0)
 def test_options_of_the_environment_that_pytest_refuses_are_ignored(project, monkeypatch):
     monkeypatch.setenv("PYTEST_ADDOPTS", "--no-such-option")
-    status, said = run(project, "-m", "lfield", "test", "-k", "it_ends", pytest_variables=True)
-    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
+    status, output = run(project, "-m", "lfield", "test", "-k", "it_ends", pytest_variables=True)
+    assert (status, "1 passed" in output) == (exit_status.DONE, True), output
 
 
 @pytest.mark.few(0)
 def test_a_conftest_that_fails_is_reported_as_such(project):
     (project / "conftest.py").write_text("import no_such_module\n")
     (project / "pytest.ini").write_text(FOREIGN["option"][1])
-    status, said = run(project, "-m", "lfield", "test")
+    status, output = run(project, "-m", "lfield", "test")
     assert status == exit_status.USAGE
-    assert "No module named 'no_such_module'" in said
-    assert "ignored" not in said
+    assert "No module named 'no_such_module'" in output
+    assert "ignored" not in output
 
 
 MOVES = """
@@ -182,10 +189,10 @@ def test_each_team_of_each_test_has_its_own_picture(tmp_path):
     for folder in ("near", "far"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "test_walk.py").write_text(test)
-    words = ("test", ".", "-q", "-k", "moves or far", "--tracks", "seen")
+    arguments = ("test", ".", "-q", "-k", "moves or far", "--tracks", "seen")
     (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --import-mode=importlib\n")
-    status, said = run(tmp_path, "-m", "lfield", *words)
-    assert (status, "7 passed, 1 deselected" in said) == (exit_status.DONE, True), said
+    status, output = run(tmp_path, "-m", "lfield", *arguments)
+    assert (status, "7 passed, 1 deselected" in output) == (exit_status.DONE, True), output
     pictures = sorted(file.name for file in (tmp_path / "seen").iterdir())
     long = f"test_walk.test_it_moves-{'x' * 300}"[:120]
     assert pictures == sorted(
@@ -195,7 +202,7 @@ def test_each_team_of_each_test_has_its_own_picture(tmp_path):
             *(f"test_walk.test_two_teams~{number}.svg" for number in (1, 2)),
         ]
     )
-    assert said.count("tracks: ") == len(pictures)
+    assert output.count("tracks: ") == len(pictures)
 
 
 @pytest.mark.few(0)
@@ -203,9 +210,9 @@ def test_a_picture_that_cannot_be_written_fails_no_test(tmp_path):
     test = MOVES.format(flight=str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL"))
     (tmp_path / "test_walk.py").write_text(test)
     (tmp_path / "taken").write_text("")
-    status, said = run(tmp_path, "-m", "lfield", "test", "-k", "two_teams", "--tracks", "taken")
-    assert (status, "error" in said) == (exit_status.DONE, False), said
-    assert f"tracks: {tmp_path}/taken/test_walk.test_two_teams~1.svg cannot be written: File exists" in said
+    status, output = run(tmp_path, "-m", "lfield", "test", "-k", "two_teams", "--tracks", "taken")
+    assert (status, "error" in output) == (exit_status.DONE, False), output
+    assert f"tracks: {tmp_path}/taken/test_walk.test_two_teams~1.svg cannot be written: File exists" in output
 
 
 FLOWN = """
@@ -221,19 +228,19 @@ print(hashlib.sha256(repr((team.log, team.tracks, team.hops)).encode()).hexdiges
 @pytest.mark.few(0)
 def test_the_same_seed_is_the_same_flight_in_every_process(tmp_path, monkeypatch):
     flight = str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL")
-    seen = set()
+    observed = set()
     for number in ("1", "2"):
         monkeypatch.setenv("PYTHONHASHSEED", number)
-        status, said = run(tmp_path, "-c", FLOWN, flight)
-        assert status == 0, said
-        seen.add(said)
-    assert len(seen) == 1
+        status, output = run(tmp_path, "-c", FLOWN, flight)
+        assert status == 0, output
+        observed.add(output)
+    assert len(observed) == 1
 
 
 def test_without_pytest_the_error_names_the_package(project):
     (project / "pytest.py").write_text("raise ImportError\n")
-    status, said = run(project, "-m", "lfield", "test")
-    assert (status, said) == (
+    status, output = run(project, "-m", "lfield", "test")
+    assert (status, output) == (
         exit_status.UNAVAILABLE,
         "lfield: 'lfield test' needs pytest: pip install 'lfield[desk]'\n",
     )

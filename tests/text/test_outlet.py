@@ -22,10 +22,10 @@ TIMEOUT = 30.0
 
 
 def all_of(backlog: LineBacklog) -> list[tuple[int, bytes]]:
-    taken = []
+    written = []
     while backlog:
-        taken.append(backlog.drain())
-    return taken
+        written.append(backlog.drain())
+    return written
 
 
 # --- kept and dropped lines -----------------------------------------------------------------------------
@@ -63,24 +63,26 @@ def test_each_write_has_whole_lines_within_an_atomic_pipe_write():
         cut = rng.randrange(len(line))
         backlog.put(line[:cut])
         backlog.put(line[cut:])
-    taken = [data for _, data in all_of(backlog)]
-    assert b"".join(taken) == b"".join(lines)
-    assert all(data.endswith(b"\n") and (len(data) <= MAX_WRITE or data.count(b"\n") == 1) for data in taken)
+    written = [data for _, data in all_of(backlog)]
+    assert b"".join(written) == b"".join(lines)
+    assert all(
+        data.endswith(b"\n") and (len(data) <= MAX_WRITE or data.count(b"\n") == 1) for data in written
+    )
 
 
 def test_every_line_is_kept_or_counted():
-    rng, backlog, kept, lost, sent = random.Random(3), LineBacklog(limit=200), 0, 0, 0
+    rng, backlog, written_lines, lost, sent = random.Random(3), LineBacklog(limit=200), 0, 0, 0
     for _ in range(2000):
         if rng.random() < 0.8:
             backlog.put(b"x" * rng.randrange(40) + b"\n")
             sent += 1
         else:
             dropped, data = backlog.drain()
-            kept, lost = kept + data.count(b"\n"), lost + dropped
+            written_lines, lost = written_lines + data.count(b"\n"), lost + dropped
     for dropped, data in all_of(backlog):
-        kept, lost = kept + data.count(b"\n"), lost + dropped
+        written_lines, lost = written_lines + data.count(b"\n"), lost + dropped
     assert lost > 100
-    assert kept + lost == sent
+    assert written_lines + lost == sent
 
 
 # --- writers never wait ---------------------------------------------------------------------------------
@@ -95,18 +97,18 @@ def a_pipe():
 
 def a_socket():
     """A socket with a small buffer, for the same reason."""
-    ours, theirs = socket.socketpair()
-    theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-    return ours.detach(), theirs.detach()
+    near, far = socket.socketpair()
+    far.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    return near.detach(), far.detach()
 
 
 def a_terminal():
     """A pseudo-terminal like that of ssh, without conversion of line ends."""
-    ours, theirs = pty.openpty()
-    attributes = termios.tcgetattr(theirs)
+    near, far = pty.openpty()
+    attributes = termios.tcgetattr(far)
     attributes[1] &= ~termios.OPOST
-    termios.tcsetattr(theirs, termios.TCSANOW, attributes)
-    return ours, theirs
+    termios.tcsetattr(far, termios.TCSANOW, attributes)
+    return near, far
 
 
 @pytest.fixture(params=[a_pipe, a_socket, a_terminal], ids=["pipe", "socket", "terminal"])

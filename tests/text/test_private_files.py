@@ -196,7 +196,7 @@ def test_fifo_does_not_block(path):
 def test_unfinished_write_keeps_the_old_file(path, monkeypatch):
     write_private(path, b"old")
 
-    def full(*words: object, **more: object) -> None:
+    def full(*arguments: object, **more: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)

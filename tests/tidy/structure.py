@@ -174,8 +174,14 @@ def argument_count(cls: ast.ClassDef) -> int:
     """The number of arguments of a class's constructor; 0 without one of its own."""
     for method in cls.body:
         if isinstance(method, ast.FunctionDef) and method.name == "__init__":
-            given = method.args
-            every = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+            arguments = method.args
+            every = [
+                *arguments.posonlyargs,
+                *arguments.args,
+                *arguments.kwonlyargs,
+                arguments.vararg,
+                arguments.kwarg,
+            ]
             return len([each for each in every if each is not None]) - 1
     if not is_dataclass(cls) or is_frozen(cls) or is_record(cls):
         return 0

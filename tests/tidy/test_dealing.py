@@ -77,14 +77,14 @@ def test_few_cases_have_each_value_once_if_possible():
 def test_all_merged_cases_are_checked_and_each_failure_is_reported():
     def check(kind, seed, shared):
         assert shared == "module"
-        seen.append((kind, seed))
+        observed.append((kind, seed))
         if seed == 1:
             pytest.skip("not here")
         assert kind != 2, "wrong kind"
 
-    seen: list[tuple[int, int]] = []
+    observed: list[tuple[int, int]] = []
     failed = failures_of(cases(kinds=3, seeds=3), check, {"shared": "module"})
-    assert len(seen) == 9
+    assert len(observed) == 9
     assert [error.__notes__ for error in failed] == [["in case [2-0]"], ["in case [2-2]"]]
     assert all("wrong kind" in str(error) for error in failed)
 
@@ -95,15 +95,15 @@ def test_merged_cases_that_all_skip_are_skipped():
 
 
 def test_time_limit_ends_merged_cases():
-    seen = []
+    observed = []
 
     def check(kind, seed):
-        seen.append(kind)
+        observed.append(kind)
         pytest.fail("Timeout (>240.0s) from pytest-timeout.")
 
     with pytest.raises(pytest.fail.Exception, match="Timeout"):
         failures_of(cases(kinds=2, seeds=1), check, {})
-    assert seen == [0]
+    assert observed == [0]
 
 
 class Bench:

@@ -78,8 +78,8 @@ def _operands(pc: int) -> list[int]:
 
 def test_a_collected_call_keeps_the_targets_of_results() -> None:
     first, second = _group("begin"), _group("begin", 1)
-    sentinel, beside = _operands(first)[:2]
-    held = {sentinel, beside, *(NAMES[name] for name in ("arm", "names", "later", "other"))}
+    sentinel, neighbours = _operands(first)[:2]
+    held = {sentinel, neighbours, *(NAMES[name] for name in ("arm", "names", "later", "other"))}
     assert _kept(first) >= {*held, NAMES["spent"]}
     # The arguments of a call are in its ticket.
     assert NAMES["spent"] not in _kept(second)
@@ -89,33 +89,33 @@ def test_a_collected_call_keeps_the_targets_of_results() -> None:
 
 
 def test_fetch_keeps_the_arrays() -> None:
-    sentinel, beside = _operands(_group("begin"))[:2]
-    assert _kept(_group("fetch")) >= {sentinel, beside, NAMES["names"], NAMES["arm"]}
+    sentinel, neighbours = _operands(_group("begin"))[:2]
+    assert _kept(_group("fetch")) >= {sentinel, neighbours, NAMES["names"], NAMES["arm"]}
 
 
 def test_leave_keeps_the_exception() -> None:
     sentinel, thrown = _operands(_group("leave"))
-    beside = _operands(_group("begin"))[1]
-    kept = _kept(_group("leave"))
-    assert kept >= {sentinel, thrown, NAMES["later"], NAMES["other"]}
-    assert beside not in kept
+    neighbours = _operands(_group("begin"))[1]
+    live = _kept(_group("leave"))
+    assert live >= {sentinel, thrown, NAMES["later"], NAMES["other"]}
+    assert neighbours not in live
 
 
 def test_after_a_together_its_slots_are_not_kept() -> None:
-    sentinel, beside = _operands(_group("begin"))[:2]
-    kept = _kept(_group("pcall"))
-    assert kept.isdisjoint({sentinel, beside})
-    assert kept >= {NAMES["arm"], NAMES["got"], NAMES["later"], NAMES["other"]}
+    sentinel, neighbours = _operands(_group("begin"))[:2]
+    live = _kept(_group("pcall"))
+    assert live.isdisjoint({sentinel, neighbours})
+    assert live >= {NAMES["arm"], NAMES["got"], NAMES["later"], NAMES["other"]}
 
 
 def test_a_finally_keeps_the_exception_that_it_throws_again() -> None:
     rows = PROGRAM.core.methods[METHOD].handlers
     thrown = rows[-2].slot
     assert [row.kind for row in rows[-2:]] == [FINALLY, 3]
-    kept = _kept(_group("pcall", 1))
-    assert thrown in kept
+    live = _kept(_group("pcall", 1))
+    assert thrown in live
     # The try has ended: its catches read no slots.
-    assert NAMES["later"] not in kept
+    assert NAMES["later"] not in live
 
 
 @pytest.mark.parametrize("kind", [CATCH, FINALLY, LIMIT])

@@ -92,13 +92,18 @@ def offers(draw: st.DrawFn) -> FoundOffer:
     """An offer of Lift with any facts, by any realisation, and its parts with any."""
     facts = [tuple(column) for column in zip(*draw(st.lists(_fact, max_size=4)), strict=True)]
     names, numbers, texts, ages = facts or ((), (), (), ())
-    said = {"agent": draw(_texts), "host": draw(_texts), "kind": draw(_texts), "score": draw(st.floats(0, 1))}
-    said |= {"names": names, "numbers": numbers, "texts": texts, "ages": ages}
+    offer_fields = {
+        "agent": draw(_texts),
+        "host": draw(_texts),
+        "kind": draw(_texts),
+        "score": draw(st.floats(0, 1)),
+    }
+    offer_fields |= {"names": names, "numbers": numbers, "texts": texts, "ages": ages}
     way = draw(st.sampled_from(["byCrane", "as_climb_lifts", "of_grip_and_climb"]))
     if way == "byCrane":
-        return FoundOffer(way, member=draw(st.sampled_from([0, 3])), **said)
+        return FoundOffer(way, member=draw(st.sampled_from([0, 3])), **offer_fields)
     parts = PARTS if way == "of_grip_and_climb" else {way: CLIMB}
-    return FoundOffer(way, parts=parts, **said)
+    return FoundOffer(way, parts=parts, **offer_fields)
 
 
 def new_block(limit: int = 1 << 17) -> Block:
@@ -118,14 +123,14 @@ def read(block: Block, place: int, name: str = "Lift") -> FoundOffer:
     agent, host, kind = (block.text(block.w[facts + i]) for i in (1, 2, 3))
     names, texts = (strings(block, block.w[facts + i]) for i in (5, 7))
     numbers, ages = (reals(block, block.w[facts + i]) for i in (6, 8))
-    said = (agent, host, kind, block.r[facts + 4])
+    offer_fields = (agent, host, kind, block.r[facts + 4])
     (way, target), *_ = filled.items()
     if block.w[target] & 0xFF == layout.PROXY:
-        return FoundOffer(way, *said, block.w[target + 1], {}, names, numbers, texts, ages)
+        return FoundOffer(way, *offer_fields, block.w[target + 1], {}, names, numbers, texts, ages)
     kinds = {"as_climb_lifts": "Climb", "of_grip_and_climb_hand": "Grip", "of_grip_and_climb_sky": "Climb"}
     parts = {field: read(block, part, kinds[field]) for field, part in filled.items()}
     own = "of_grip_and_climb" if len(parts) > 1 else way
-    return FoundOffer(own, *said, -1, parts, names, numbers, texts, ages)
+    return FoundOffer(own, *offer_fields, -1, parts, names, numbers, texts, ages)
 
 
 def elements(block: Block, place: int) -> range:

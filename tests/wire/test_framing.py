@@ -76,12 +76,12 @@ def test_frames_fed_one_at_a_time_give_the_same_result(frames, end, size):
     with suppress(WireError):
         for piece in (stream[start : start + size] for start in range(0, len(stream), size)):
             while piece:
-                taken = decoder.next_frame_length(piece)
-                assert taken > 0
-                step = cut(decoder, piece[:taken])
+                length = decoder.next_frame_length(piece)
+                assert length > 0
+                step = cut(decoder, piece[:length])
                 assert len(step) <= 1
                 found += step
-                piece = piece[taken:]
+                piece = piece[length:]
     assert found == expected
     assert decoder.is_mid_frame == other.is_mid_frame
 

@@ -40,8 +40,8 @@ def test_a_confirmation_fits_with_a_certificate_and_counts_omitted_devices(devic
     assert len(encode_datagram(signed(encode_part(answer), 490))) <= MAX_DATAGRAM
     devices_in_answer = devices_of(answer)
     assert len(devices_in_answer) + answer.more == len(devices)
-    assert {name for name, why in devices_in_answer.items() if why} <= {
-        name for name, why in devices.items() if why
+    assert {name for name, reason in devices_in_answer.items() if reason} <= {
+        name for name, reason in devices.items() if reason
     }
     assert decode_answer(encode_part(answer)) == answer
 

@@ -58,7 +58,7 @@ class WriteAheadQueue:
     def __init__(self, first: Iterable[Record] = ()) -> None:
         self._records: dict[RecordKey, Record] = {key_of(record): record for record in first}
         #: The records to delete.
-        self._deleted: set[RecordKey] = set()
+        self._deletions: set[RecordKey] = set()
         #: The number of the batch that is being collected.
         self._number = 1
         #: The number of the last batch on disk.
@@ -127,7 +127,7 @@ class WriteAheadQueue:
     def add_record(self, record: Record, now: float, *, is_lazy: bool = False) -> int:
         """Queue a record; returns the number of its batch."""
         self._records[key_of(record)] = record
-        self._deleted.discard(key_of(record))
+        self._deletions.discard(key_of(record))
         self._urgent = self._urgent or not is_lazy
         return self._batch(now)
 
@@ -135,7 +135,7 @@ class WriteAheadQueue:
         """Queue deletions, after the records that are queued; returns the number of their batch."""
         for key in keys:
             self._records.pop(key, None)
-            self._deleted.add(key)
+            self._deletions.add(key)
         return self._batch(now)
 
     def _batch(self, now: float) -> int:
@@ -147,8 +147,8 @@ class WriteAheadQueue:
         """The next batch, if one is due: its number, records to write, keys to delete."""
         if not self._urgent and (self.due is None or now < self.due):
             return None
-        records, keys = list(self._records.values()), sorted(self._deleted)
-        self._records, self._deleted = {}, set()
+        records, keys = list(self._records.values()), sorted(self._deletions)
+        self._records, self._deletions = {}, set()
         number, self._number = self._number, self._number + 1
         self._urgent, self.due = False, None
         return number, records, keys

@@ -299,7 +299,7 @@ class TeamLeases(Part):
 
     def _on_terminated(self, ended: Terminated) -> None:
         """Another host reports the termination of a coordinator."""
-        effects = self._team.mobility.terminated(ended)
+        effects = self._team.mobility.on_terminated(ended)
         if any(isinstance(effect, DropTerminated) for effect in effects):
             line = log_messages.AGENT_ENDED_ELSEWHERE.line(
                 agent=ended.agent, host=ended.host, outcome=ended.outcome

@@ -37,7 +37,7 @@ class PendingCallStore(Part):
             if isinstance(record, PendingCallRecord) and record.program == self._mission:
                 self._records[record.agent, record.generation, record.number] = record, 0
         #: Calls that the machine may start, until they have started.
-        self._deleted: list[CallKey] = []
+        self._startable: list[CallKey] = []
         #: Fetched results, until a record of the coordinator contains them.
         self._fetched: dict[StartId, list[CallKey]] = {}
         self.observes = {WriteFailed: self._on_write_failed}
@@ -53,13 +53,13 @@ class PendingCallStore(Part):
         """The coordinators of this host resume: those that were informed that their calls may have started
         fetch no result.
         """
-        terminated = [
+        notified = [
             key
             for key, (record, _) in self._records.items()
             if key[:2] in self._team.restart_notified and not record.outcome
         ]
-        self._machine.pending_calls.forget(terminated)
-        self._delete(terminated)
+        self._machine.pending_calls.forget(notified)
+        self._delete(notified)
 
     # --- called by the machine ------------------------------------------------------------------------
 
@@ -72,7 +72,7 @@ class PendingCallStore(Part):
         if not self._has_journal:
             return True
         if agent.is_persisted and all(self._is_durable(key) for key in keys):
-            self._deleted += keys
+            self._startable += keys
             return True
         new_calls = [call for key, call in zip(keys, calls, strict=True) if key not in self._records]
         if new_calls and not self._team.write_problem:
@@ -143,15 +143,15 @@ class PendingCallStore(Part):
     def on_tick(self, now: float) -> None:
         """Cancel calls of starts that are over, and delete records that no start will fetch."""
         pending = self._machine.pending_calls.calls()
-        if not (pending or self._records or self._fetched or self._deleted):
+        if not (pending or self._records or self._fetched or self._startable):
             self.is_polled = False
             return
         for start in list(self._fetched):
             if self._team.mobility.was_sent(*start):
                 self._delete(self._fetched.pop(start))
         calls = {call.key for call in pending}
-        failed = [key for key in self._deleted if key not in calls and not self._records[key][0].outcome]
-        self._deleted.clear()
+        failed = [key for key in self._startable if key not in calls and not self._records[key][0].outcome]
+        self._startable.clear()
         self._delete(failed)
         starts = {key[:2] for key in calls}
         for start in sorted({*starts, *(key[:2] for key in self._records)}):

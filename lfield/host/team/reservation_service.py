@@ -67,7 +67,7 @@ class ReservationService(Part):
         #: The time when the reservations of each coordinator here were last renewed.
         self._renewed: dict[str, tuple[Agent, float]] = {}
         #: Whether a coordinator was resumed since the last `poll_resumed`.
-        self._moved = False
+        self._was_resumed = False
         #: Without a `reserve` in the program there is no work in any turn.
         self.is_polled = machine.program.has_reserves
         self.handles = dict.fromkeys(get_args(ReservationMessage), self._on_message)
@@ -263,7 +263,7 @@ class ReservationService(Part):
 
     def poll_resumed(self) -> bool:
         """Whether a coordinator was resumed since the last call."""
-        resumed, self._moved = self._moved, False
+        resumed, self._was_resumed = self._was_resumed, False
         return resumed
 
     def _local_coordinators(self) -> list[Agent]:
@@ -335,18 +335,18 @@ class ReservationService(Part):
         if start in self._waiting_persons:
             self._waiting_persons.discard(start)
             self._retried_persons.append(start)
-            self._moved = True
+            self._was_resumed = True
             return
         agent = self._waiting.pop(start, None)
         if agent is not None and self._is_frozen(agent):
             self._machine.unfreeze(agent)
-            self._moved = True
+            self._was_resumed = True
 
     def _deny(self, effect: DenyWaiter) -> None:
         agent = self._waiting.pop(effect.start, None)
         if agent is not None and self._is_frozen(agent):
             self._machine.resume(agent, RESERVED, truncate(effect.message), effect.resource)
-            self._moved = True
+            self._was_resumed = True
 
     def _is_frozen(self, agent: Agent) -> bool:
         """Whether a coordinator still waits here; False if it was resumed and waits to leave."""

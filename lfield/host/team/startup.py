@@ -147,7 +147,11 @@ class Startup(Part):
     def _start_if_ready(self) -> None:
         if waiting := self._gate.wait_line():
             self._log(waiting)
-        if self._team.is_halted or self._waits_for_lease() or (self._gate.is_waiting and self._has_to_wait()):
+        if (
+            self._team.is_halted
+            or self._request_lease()
+            or (self._gate.is_waiting and self._poll_readiness())
+        ):
             return
         if self._gate.poll_due:
             if (hosts := self._gate.unproven) and (agents := self._new_starts()):
@@ -160,16 +164,17 @@ class Startup(Part):
         known = self._team.mobility.known_states()
         return [agent for agent in self.own_agents if not self._blocking_reason(agent, known)]
 
-    def _has_to_wait(self) -> bool:
-        """Whether a new start has to wait: for hosts, for vehicles of an earlier start, or for an
-        operator."""
+    def _poll_readiness(self) -> bool:
+        """Query the hosts that are due. True if a new start has to wait: for hosts, for vehicles of an
+        earlier start, or for an operator.
+        """
         agents = self._new_starts()
         if not agents:
             return False
         readiness, now = self.readiness, self._clock.monotonic()
         if self._team.stopped:
             readiness.hold(EMERGENCY_STOPPED)
-        if not (readiness.held or readiness.missing or self._gate.missing or self._is_paused(agents)):
+        if not (readiness.held or readiness.missing or self._gate.missing or self._log_pause(agents)):
             for host in readiness.hosts_to_query(now):
                 if host == self._own_host:
                     readiness.on_vehicles(host, self._local_vehicles())
@@ -187,7 +192,8 @@ class Startup(Part):
         }
         return {name: None if landed is None else _truth(landed.value) for name, landed in reported.items()}
 
-    def _is_paused(self, agents: Sequence[str]) -> bool:
+    def _log_pause(self, agents: Sequence[str]) -> bool:
+        """Log the begin of a pause once. True during a pause."""
         if self._team.paused and not self._pause_logged:
             self._log(log_messages.START_PAUSED.line(agents=" and ".join(agents), reason=self._pause_reason))
         self._pause_logged = self._team.paused
@@ -241,8 +247,8 @@ class Startup(Part):
         reason = f"it was not started, since {ended}"
         return dict.fromkeys(self._new_starts(), reason)
 
-    def _waits_for_lease(self) -> bool:
-        """Whether a lease is awaited: the members may know of a later start."""
+    def _request_lease(self) -> bool:
+        """Request the lease of new starts. True until it is granted: members may know of a later start."""
         if not self._leases.has_to_wait:
             return False
         known = self._team.mobility.known_states()

@@ -167,10 +167,10 @@ class Mobility:
         return [effect.generation for effect in effects if isinstance(effect, DropTerminated)], effects
 
     def set_delay_rule(self, is_delayed: Callable[[Terminated], bool]) -> None:
-        """Set the rule for remote terminations that are neither stored nor confirmed until `terminated`."""
+        """Set the rule for remote terminations that are stored and confirmed only by `on_terminated`."""
         self._termination.set_delay_rule(is_delayed)
 
-    def terminated(self, ended: Terminated) -> list[Effect]:
+    def on_terminated(self, ended: Terminated) -> list[Effect]:
         """A coordinator has ended on another host, and the record may now be written."""
         return self._termination.on_delay_over(ended)
 

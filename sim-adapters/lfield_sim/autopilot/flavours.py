@@ -94,12 +94,12 @@ class GcsRule:
     """The ground station failsafe, by parameter names ('' for none).
 
     `action` 0 disables it; `pause` are seconds of hold before the action; `options` bit 3 lets a landing
-    continue (text `goes_on`); `station` is the only system whose heartbeats count, or the first of a range up
-    to `stations_to`, on any link. `late` is its delay beyond the timeout in s, or the parameter for it. While
-    it lasts arming is refused if it `forbids` that, with `refusal` ('': without a text). `stands`: a disarmed
-    vehicle takes the action too, unless it holds or returns already. `lost_text` is sent for any action,
-    `unfit_text` if there is one, `hold_text` before a pause, and `text` with the action. It is checked
-    `check_period` so many seconds (0: always), which delays its start and end.
+    continue (text `continue_text`); `station` is the only system whose heartbeats count, or the first of a
+    range up to `stations_to`, on any link. `late` is its delay beyond the timeout in s, or the parameter for
+    it. While it lasts arming is refused if it `forbids` that, with `refusal` ('': without a text).
+    `acts_disarmed`: a disarmed vehicle takes the action too, unless it holds or returns already. `lost_text`
+    is sent for any action, `unfit_text` if there is one, `hold_text` before a pause, and `text` with the
+    action. It is checked every `check_period` seconds (0: always), which delays its start and end.
     """
 
     action: str
@@ -113,10 +113,10 @@ class GcsRule:
     stations_to: str = ""
     enable: str = ""
     late: str | float = 0.0
-    goes_on: str = ""
+    continue_text: str = ""
     forbids: bool = False
     refusal: str = ""
-    stands: bool = False
+    acts_disarmed: bool = False
     lost_text: str = ""
     unfit_text: str = ""
     hold_text: str = ""
@@ -206,7 +206,7 @@ class Flavour:
     settles             seconds at rest until it reports a landing
     landed_text         sent when it switches its motors off after a landing
     unsupported         unknown MAV_CMDs
-    lacks               unknown messages
+    unknown_messages    messages that it does not know
     streamed_only       messages that REQUEST_MESSAGE does not support
     heeds_groups        it supports REQUEST_DATA_STREAM
     fastest             the highest accepted rate of a stream, Hz
@@ -256,7 +256,7 @@ class Flavour:
     capacity: str
     streams: Mapping[int, float] = field(default_factory=dict)
     unsupported: frozenset[int] = frozenset()
-    lacks: frozenset[int] = frozenset()
+    unknown_messages: frozenset[int] = frozenset()
     unasked_only: frozenset[int] = frozenset()
     streamed_only: frozenset[int] = frozenset()
     heeds_groups: bool = True

@@ -46,7 +46,7 @@ class Pilot:
     weak_at              the time since which a motor is too weak, minus infinity once that has been reported
     sinks_at             when a landing starts to descend: after a failsafe an ArduCopter hovers first
     on_its_way           of PX4's rover: the state that it reports as flying
-    stood                whether the last report was "landed"
+    was_landed           whether the last report was "landed"
     intended             the commanded mode, which a failsafe may have replaced
     resumes              the mode that PX4 goes back to after a landing
     station_at           when a packet of a ground station arrived last
@@ -90,7 +90,7 @@ class Pilot:
     armed_first: float = 0.0
     on_its_way: bool = False
     touched_at: float | None = None
-    stood: bool = True
+    was_landed: bool = True
     lifts_at: float | None = None
     sinks_at: float = 0.0
     weak_at: float = math.inf

@@ -118,10 +118,10 @@ def _count_as_flying(pilot: Pilot) -> None:
 
 def _say_landed(pilot: Pilot) -> None:
     """Sends PX4's texts about takeoff and landing."""
-    stands = pilot.landed
-    if stands != pilot.stood and pilot.flavour.takeoff_mode:
-        pilot.say("Landing detected\t" if stands else "Takeoff detected\t")
-    pilot.stood = stands
+    is_landed = pilot.landed
+    if is_landed != pilot.was_landed and pilot.flavour.takeoff_mode:
+        pilot.say("Landing detected\t" if is_landed else "Takeoff detected\t")
+    pilot.was_landed = is_landed
 
 
 def _is_over(pilot: Pilot) -> bool:

@@ -170,7 +170,7 @@ class _Row:
     strength: MotorStrength
     ranges: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
     initial: Mapping[str, int] = field(default_factory=dict)
-    lacks: Sequence[str] = ()
+    missing_items: Sequence[str] = ()
     modes: Sequence[int] = (CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM)
     wide: bool = True
     dual: bool = False
@@ -227,7 +227,7 @@ _ROWS = {
         MotorStrength(1.5, 1.4, 61 * _RPM, 12.0, 0.0),
         _XL430,
         _XL430_GAINS,
-        lacks=("current_limit", "goal_current"),
+        missing_items=("current_limit", "goal_current"),
         modes=(VELOCITY, POSITION, EXTENDED, PWM),
     ),
     "XM430-W350": _Row(1020, "x/xm430-w350/", MotorStrength(4.1, 2.3, 46 * _RPM, 12.0, 0.00269)),
@@ -252,7 +252,7 @@ def _indirect(wide: bool) -> Sequence[tuple[int, int, int]]:
 
 
 def _items(row: _Row) -> dict[str, Register]:
-    items = {item.name: item for item in X_SERIES if item.name not in row.lacks}
+    items = {item.name: item for item in X_SERIES if item.name not in row.missing_items}
     for name, (initial, low, high) in row.ranges.items():
         items[name] = replace(items[name], initial=initial, low=low, high=high)
     for name, initial in {**row.initial, "model_number": row.number}.items():

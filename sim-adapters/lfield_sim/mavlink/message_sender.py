@@ -48,7 +48,7 @@ class MessageSender:
 
     def can_send(self, kind: int) -> bool:
         """Whether the message exists."""
-        if kind in self.autopilot.flavour.lacks:
+        if kind in self.autopilot.flavour.unknown_messages:
             return False
         return kind in MESSAGES or any(kind in service.messages for service in self._services)
 

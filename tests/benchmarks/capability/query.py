@@ -31,7 +31,7 @@ agents: {arm2: {payload: 1.2}}
 _QUERY = "Lift where payload >= 2.0"
 
 
-def asking(*words: str, running: bool) -> Opener:
+def asking(*arguments: str, running: bool) -> Opener:
     """Run the command with these options."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
@@ -42,7 +42,9 @@ def asking(*words: str, running: bool) -> Opener:
 
         def ask() -> Round:
             with Processes() as own:
-                return whole_run(checkout.lfield(own, "query", _QUERY, *mission.arguments, *words), "Lift")
+                return whole_run(
+                    checkout.lfield(own, "query", _QUERY, *mission.arguments, *arguments), "Lift"
+                )
 
         return ask
 

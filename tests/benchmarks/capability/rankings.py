@@ -96,13 +96,13 @@ def _best(team: int, seed: int) -> str:
     types = [_provider(f"T{i}", "Lift" if i % 2 else "Climb", _RELEVANT, drawn) for i in range(8)]
     members = [Candidate(f"a{i}", f"T{i}", f"h{i}", drawn.randint(0, 1)) for i in range(8)]
     stands_in = Equivalence("climbs", "Lift", "Climb", {}, loss=0.02)
-    beside = [_provider(f"N{i}", other.choice(["Lift", "Climb"]), _IRRELEVANT, other) for i in range(4)]
+    irrelevant = [_provider(f"N{i}", other.choice(["Lift", "Climb"]), _IRRELEVANT, other) for i in range(4)]
     grips = {f"g{i}": _facts(_IRRELEVANT, other) for i in range(2)}
-    beside.append(_provider("Hand", "Grip", _RELEVANT, other))
+    irrelevant.append(_provider("Hand", "Grip", _RELEVANT, other))
     members += [Candidate(name, "Hand", "far", 1) for name in grips]
     weights = Weights(hop=drawn.choice([0.03, 0.1]))
-    made = replace(_registry([*types, *beside], stands_in, **grips), weights=weights)
-    return _found(Matcher(made, _Team(members)))[0].agent
+    weighted_registry = replace(_registry([*types, *irrelevant], stands_in, **grips), weights=weights)
+    return _found(Matcher(weighted_registry, _Team(members)))[0].agent
 
 
 def _found(matcher: Matcher) -> Sequence[Offer]:
@@ -181,14 +181,14 @@ def _members(count: int, age: float) -> list[Candidate]:
 def growing(case: str, lively: bool) -> Contender:
     """Seconds of a query in teams of all sizes."""
     primitive, rules, text = _GROWN[case]
-    made = _registry([Provider(t, {p: ServedPrimitive(p, {})}) for t, p in _TYPES], *rules)
+    weighted_registry = _registry([Provider(t, {p: ServedPrimitive(p, {})}) for t, p in _TYPES], *rules)
     wish = compile_query(text, _ATTRIBUTES) if text else None
 
     def ask(count: int) -> list[float]:
         teams = [_Team(_members(count, 0.1 * turn)) for turn in range(8)]
         team = _Team([])
         team.by_type = teams[0].by_type
-        matcher = Matcher(made, team)
+        matcher = Matcher(weighted_registry, team)
         asked = [matcher.teams, primitive, 2] if case == "teams of two" else [matcher.find, primitive]
         times = []
         for turn in teams:

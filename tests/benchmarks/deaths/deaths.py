@@ -155,14 +155,14 @@ def rows(outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
 
 
 def _rows_of(case: str, outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
-    shown = case
+    label = case
     for what in ("safe", "at rest"):
         for load, found in outcomes.items():
             samples = [seconds for o in found if (seconds := o.verdict.seconds(what)) is not None]
             own = f", own {sum(o.verdict.own for o in found)}" if what == "safe" else ""
             if samples:
-                yield Row(shown, f"{load}: {what} {len(samples)}/{len(found)}{own}", samples=samples)
-                shown = ""
+                yield Row(label, f"{load}: {what} {len(samples)}/{len(found)}{own}", samples=samples)
+                label = ""
     for load, found in outcomes.items():
         why = [f"{o.way}: {o.why}" for o in found if o.why]
         if why:

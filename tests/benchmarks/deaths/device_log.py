@@ -54,9 +54,9 @@ class DeviceLog:
         with self._path.open("rb") as file:
             file.seek(self._place)
             data = file.read()
-        whole = data[: data.rfind(b"\n") + 1]
-        self._place += len(whole)
-        for line in whole.decode().splitlines():
+        complete_lines = data[: data.rfind(b"\n") + 1]
+        self._place += len(complete_lines)
+        for line in complete_lines.decode().splitlines():
             at, _, assignment = line.split(" ", 2)
             change = Change(float(at), *assignment.split("=", 1))
             self.changes.append(change)

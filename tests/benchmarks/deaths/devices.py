@@ -62,11 +62,11 @@ def _copter(
     name: str, flavour: str, land: str, ttl: float, bound: float, *more: str, station: bool = False
 ) -> Device:
     # High speeds keep landings short; the battery lasts for all trials.
-    words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 2.4 --land 1.9"
-    kept = [word for setting in more for word in ("--param", setting)]
+    command = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 2.4 --land 1.9"
+    arguments = [argument for setting in more for argument in ("--param", setting)]
     return Device(
         name,
-        [*f"{words} --acceleration 10 --capacity 900000".split(), *kept],
+        [*f"{command} --acceleration 10 --capacity 900000".split(), *arguments],
         "Copter",
         "fc",
         f"driver: mavlink, safe_state: land, ttl: {ttl}",
@@ -79,10 +79,10 @@ def _copter(
 
 
 def _rover(name: str, *, station: bool = False) -> Device:
-    kept = [word for setting in SET_UP_ROVER for word in ("--param", setting)]
+    arguments = [argument for setting in SET_UP_ROVER for argument in ("--param", setting)]
     return Device(
         name,
-        ["mavlink", "--listen", "udp:127.0.0.1:0", "--kind", "rover", "--capacity", "900000", *kept],
+        ["mavlink", "--listen", "udp:127.0.0.1:0", "--kind", "rover", "--capacity", "900000", *arguments],
         "Rover",
         "fc",
         "driver: mavlink, kind: rover, safe_state: land, ttl: 1.5",

@@ -61,11 +61,11 @@ def devices(count: int) -> Opener:
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         folder = Path(tempfile.mkdtemp(prefix="can-load-"))
         files = [folder / f"device{n}.dbc" for n in range(count)]
-        words = ["--bitrate", str(BITRATE)]
+        arguments = ["--bitrate", str(BITRATE)]
         for n, file in enumerate(files):
             file.write_text(DBC.format(n=n, command=0x100 + n, status=0x200 + n))
-            words += ["--device", f"dbc:{file},commands=Command{n},cycles=Command{n},{_protected(n)}"]
-        endpoint = checkout.fake(processes, "can", *words)
+            arguments += ["--device", f"dbc:{file},commands=Command{n},cycles=Command{n},{_protected(n)}"]
+        endpoint = checkout.fake(processes, "can", *arguments)
         return lambda: event_loop.run(_round(endpoint, files))
 
     return opener
@@ -113,10 +113,10 @@ async def _round(endpoint: str, files: Sequence[Path]) -> Round:
             await device.execute("set", [f"Command{n}.Enable", 1.0])
         await asyncio.sleep(1.0)
         missed = _missed(reports)
-        begun, used = time.perf_counter(), time.process_time()
+        started, used = time.perf_counter(), time.process_time()
         await asyncio.sleep(SECONDS_OF_A_ROUND)
-        took, used = time.perf_counter() - begun, time.process_time() - used
-        found = {PROCESSOR: [used / took], MISSED: [(_missed(reports) - missed) / took]}
+        elapsed, used = time.perf_counter() - started, time.process_time() - used
+        found = {PROCESSOR: [used / elapsed], MISSED: [(_missed(reports) - missed) / elapsed]}
         await observer.open()
         return {**found, **await _measured(list(driver.devices.values()), observed)}
     finally:
@@ -151,9 +151,9 @@ class Observed:
 
 async def _measured(made: Sequence[Device], observed: Observed) -> Round:
     await asyncio.sleep(0.5)
-    before, begun = observed.count, time.perf_counter()
+    before, started = observed.count, time.perf_counter()
     await asyncio.sleep(SECONDS_OF_A_ROUND)
-    rate = (observed.count - before) / (time.perf_counter() - begun)
+    rate = (observed.count - before) / (time.perf_counter() - started)
     found = {PER_SECOND: [8.0 * rate / 1000.0], LOAD: [round(100.0 * rate * BITS / BITRATE, 1)]}
     return {**found, FIRST: [await _first_frame(made[n % len(made)], n, observed) for n in range(COMMANDS)]}
 
@@ -162,12 +162,12 @@ async def _first_frame(device: Device, n: int, observed: Observed) -> float:
     """Seconds until a new angle is on the bus."""
     number = int(device.binding.agent[1:])
     first = observed.expected(0x100 + number, (n + 1).to_bytes(2, "little"))
-    begun = time.perf_counter()
+    started = time.perf_counter()
     await device.execute("set", [f"Command{number}.TargetAngle", (n + 1) / 1000.0])
     await first
-    took = time.perf_counter() - begun
+    elapsed = time.perf_counter() - started
     await asyncio.sleep(0.003)
-    return took
+    return elapsed
 
 
 FIGURE = Figure(

@@ -18,11 +18,13 @@ _DEVICE = """\
 """
 
 
-def fake_copters(checkout: Checkout, processes: Processes, systems: Iterable[int] = (1,), *words: str) -> str:
+def fake_copters(
+    checkout: Checkout, processes: Processes, systems: Iterable[int] = (1,), *arguments: str
+) -> str:
     """Start vehicles on one link; returns their port."""
-    vehicles = [word for system in systems for word in ("--vehicle", str(system))]
-    vehicles += [word for setting in SET_UP for word in ("--param", setting)]
-    endpoint = checkout.fake(processes, "mavlink", "--listen", "udp:127.0.0.1:0", *vehicles, *words)
+    vehicles = [argument for system in systems for argument in ("--vehicle", str(system))]
+    vehicles += [argument for setting in SET_UP for argument in ("--param", setting)]
+    endpoint = checkout.fake(processes, "mavlink", "--listen", "udp:127.0.0.1:0", *vehicles, *arguments)
     return endpoint.rpartition(":")[2]
 
 

@@ -55,10 +55,10 @@ class Bench:
         except Exception as error:
             rows.append(Row("", name, error=sentence(error)))
         finally:
-            took = f"make bench ONLY={name}   ({time.monotonic() - start:.0f} s)"
+            summary = f"make bench ONLY={name}   ({time.monotonic() - start:.0f} s)"
             if rows:
                 title = figure.title if self.other is None else figure.title.partition(";")[0]
-                print_figure(self.out, name, title, rows, (*figure.notes, took))
+                print_figure(self.out, name, title, rows, (*figure.notes, summary))
             self._keep(name, rows)
 
     def _rows(self, figure: Figure, tick: Tick) -> Iterable[Row]:

@@ -54,8 +54,8 @@ class Checkout:
         checkout = cls(root.resolve(), str(root.resolve() / ".venv/bin/python"))
         if not Path(checkout.python).exists():
             raise CheckoutError(f"{root} has no .venv/bin/python: run 'make test' there first")
-        asked = (checkout.python, "-c", "import lfield; print(lfield.__file__)")
-        found = subprocess.run(asked, capture_output=True, text=True, cwd="/", env=checkout.environment)
+        command = (checkout.python, "-c", "import lfield; print(lfield.__file__)")
+        found = subprocess.run(command, capture_output=True, text=True, cwd="/", env=checkout.environment)
         if not found.stdout.startswith(f"{checkout.root}/"):
             raise CheckoutError(
                 f"the .venv of {root} has not lfield of that folder: run 'make test' there again"
@@ -66,15 +66,15 @@ class Checkout:
     def environment(self) -> dict[str, str]:
         """Environment of the processes: files go to a temporary folder, where no operator finds the hosts."""
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-        kept = ("PYTHONPYCACHEPREFIX", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")
-        return inherited | dict.fromkeys(kept, _KEPT.name)
+        kept_variables = ("PYTHONPYCACHEPREFIX", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")
+        return inherited | dict.fromkeys(kept_variables, _KEPT.name)
 
     @property
     def commit(self) -> str:
         """The short commit of the checkout."""
-        asked = ("git", "-C", str(self.root), "describe", "--always", "--dirty")
+        command = ("git", "-C", str(self.root), "describe", "--always", "--dirty")
         try:
-            return subprocess.run(asked, capture_output=True, text=True).stdout.strip() or "unknown"
+            return subprocess.run(command, capture_output=True, text=True).stdout.strip() or "unknown"
         except OSError:
             return "unknown"
 
@@ -93,23 +93,23 @@ class Checkout:
 
     @cached_property
     def _options_of_up(self) -> str:
-        asked = (self.python, "-m", "lfield", "up", "--help")
-        usage = subprocess.run(asked, capture_output=True, text=True, cwd=self.root, env=self.environment)
+        command = (self.python, "-m", "lfield", "up", "--help")
+        usage = subprocess.run(command, capture_output=True, text=True, cwd=self.root, env=self.environment)
         return usage.stdout
 
-    def run(self, processes: Processes, *words: str, merged: bool = False) -> Child:
+    def run(self, processes: Processes, *arguments: str, merged: bool = False) -> Child:
         """Start a Python command of the checkout, in its folder."""
         return processes.start(
-            self.python, *words, environment=self.environment, folder=self.root, merged=merged
+            self.python, *arguments, environment=self.environment, folder=self.root, merged=merged
         )
 
-    def lfield(self, processes: Processes, *words: str, merged: bool = False) -> Child:
+    def lfield(self, processes: Processes, *arguments: str, merged: bool = False) -> Child:
         """Start an `lfield` command of the checkout."""
-        return self.run(processes, "-m", "lfield", *words, merged=merged)
+        return self.run(processes, "-m", "lfield", *arguments, merged=merged)
 
-    def fake(self, processes: Processes, kind: str, *words: str) -> str:
+    def fake(self, processes: Processes, kind: str, *arguments: str) -> str:
         """Start a stand-alone fake; returns the endpoint that it listens on."""
-        return self.run(processes, "-m", "lfield_sim", kind, *words).line().split()[1]
+        return self.run(processes, "-m", "lfield_sim", kind, *arguments).line().split()[1]
 
 
 @dataclass(slots=True)
@@ -150,7 +150,7 @@ class Mission:
     @property
     def arguments(self) -> tuple[str, ...]:
         """The options with the mission and the addresses of its hosts."""
-        maps = [word for host, at in self.addresses.items() for word in ("--map", f"{host}={at}")]
+        maps = [argument for host, at in self.addresses.items() for argument in ("--map", f"{host}={at}")]
         return "--deploy", str(self.deploy), *maps
 
     def up(self, checkout: Checkout, processes: Processes) -> list[Child]:

@@ -95,14 +95,14 @@ def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
         openers = {name: partial(opener, checkout, processes) for name, opener in figure.contenders.items()}
         samples, errors = in_turns(openers, figure.rounds, tick)
     for case in _cases(samples):
-        shown = case
+        label = case
         for name, of_case in samples.items():
             if case in of_case:
                 ratio = _ratio_to_fastest(samples, figure.base, name, case)
                 unit, target = figure.unit(case, name), figure.target(case, name)
                 size = figure.size(case, name)
-                yield Row(shown, name, unit, flat(of_case[case]), ratio, target, size=size)
-                shown = ""
+                yield Row(label, name, unit, flat(of_case[case]), ratio, target, size=size)
+                label = ""
     yield from _growths(figure, samples)
     yield from (Row("", name, error=error) for name, error in errors.items())
     yield from _ratios(figure, samples)
@@ -123,23 +123,23 @@ def _with_growths(figure: Figure, rows: Iterator[Row]) -> Iterator[Row]:
 def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
     """Rows with the ratios of the medians of two contenders in each round."""
     for case in _cases(samples):
-        shown = f"{case}: medians of each round"
-        for who, whom, target in figure.ratios:
-            if case in samples.get(who, {}) and case in samples.get(whom, {}):
-                found = pair_ratios(samples[who][case], samples[whom][case])
-                yield Row(shown, f"{who} / {whom}", TIMES, found, target=target)
-                shown = ""
+        label = f"{case}: medians of each round"
+        for contender, reference, target in figure.ratios:
+            if case in samples.get(contender, {}) and case in samples.get(reference, {}):
+                found = pair_ratios(samples[contender][case], samples[reference][case])
+                yield Row(label, f"{contender} / {reference}", TIMES, found, target=target)
+                label = ""
 
 
 def _growths(figure: Figure, samples: Samples) -> Iterator[Row]:
     """The growth of the cost of each contender that was measured at several sizes."""
-    shown = ""
+    label = ""
     for one in sorted(series(samples, figure.sizes), key=lambda one: one.case):
         if grown := tenfold(one.points):
             case = f"{GROWTH}: {one.case}" if one.case else GROWTH
             target = figure.targets.get(f"{one.name}: {case}") or figure.targets.get(case, "")
-            yield Row(case if case != shown else "", one.name, TIMES, grown, target=target)
-            shown = case
+            yield Row(case if case != label else "", one.name, TIMES, grown, target=target)
+            label = case
 
 
 def rows_between(figure: Figure, own: Checkout, other: Checkout, sessions: int, tick: Tick) -> Iterator[Row]:
@@ -163,11 +163,11 @@ def rows_between(figure: Figure, own: Checkout, other: Checkout, sessions: int, 
                 for case, rounds in of_side.items():
                     samples[side].setdefault(case, []).extend(rounds)
         for case in _cases(samples):
-            shown = f"{name}: {case}"
+            label = f"{name}: {case}"
             for side, of_side in samples.items():
                 if case in of_side:
-                    yield Row(shown, side, figure.unit(case, name), flat(of_side[case]))
-                    shown = ""
+                    yield Row(label, side, figure.unit(case, name), flat(of_side[case]))
+                    label = ""
             if all(case in of_side for of_side in samples.values()):
                 ratios = pair_ratios(samples["this"][case], samples["other"][case])
                 yield Row("", "this / other", TIMES, ratios, median(ratios) if ratios else None, ALLOWED)

@@ -39,8 +39,8 @@ def whole_run(child: Child, case: str) -> Round:
     """Seconds of a whole command, and its processor time, which depends less on the load of the computer."""
     before = _used_by_children()
     child.wait()
-    took = time.perf_counter() - child.started
-    return {case: [took], f"{case}, processor": [_used_by_children() - before]}
+    elapsed = time.perf_counter() - child.started
+    return {case: [elapsed], f"{case}, processor": [_used_by_children() - before]}
 
 
 def _used_by_children() -> float:

@@ -73,8 +73,8 @@ def draw(fields: Sequence[Field], about: str) -> str:
 
 def caption(about: Mapping[str, str]) -> str:
     """The first line of a picture: checkout and Python of its rows."""
-    made = f"make bench, lfield {about['checkout']}, Python {about['python']}"
-    return f"{made}: medians; thin lines from the least to the greatest sample"
+    caption_text = f"make bench, lfield {about['checkout']}, Python {about['python']}"
+    return f"{caption_text}: medians; thin lines from the least to the greatest sample"
 
 
 def fields_of(rows: Sequence[Mapping[str, Any]], pictured: Mapping[str, Pictured]) -> list[Field]:
@@ -88,9 +88,9 @@ def fields_of(rows: Sequence[Mapping[str, Any]], pictured: Mapping[str, Pictured
             point = Point(row["size"], row["min"], row["median"], row["max"])
             lines.setdefault(row["measured"], []).append(point)
         growths = {row["measured"]: row["median"] for row in of_figure if row["case"].startswith(GROWTH)}
-        kept = {line: sorted(points) for line, points in lines.items() if len(points) > 1}
-        if kept:
-            found.append(Field(chosen.title, chosen.over, sized[0]["unit"], kept, growths))
+        plotted = {line: sorted(points) for line, points in lines.items() if len(points) > 1}
+        if plotted:
+            found.append(Field(chosen.title, chosen.over, sized[0]["unit"], plotted, growths))
     return found
 
 

@@ -18,7 +18,7 @@ from typing import IO, TypeVar
 T = TypeVar("T")
 
 #: Seconds without output after which a child has failed.
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
 _PR_SET_PDEATHSIG = 1
 _prctl = ctypes.CDLL(None).prctl
@@ -55,13 +55,13 @@ class Child:
         """The process id of the child."""
         return self._process.pid
 
-    def line(self, patience: float = PATIENCE) -> str:
-        """The next line of stdout. Raises ChildError after `patience` seconds without one."""
-        end = time.monotonic() + patience
+    def line(self, timeout: float = TIMEOUT) -> str:
+        """The next line of stdout. Raises ChildError after `timeout` seconds without one."""
+        end = time.monotonic() + timeout
         while b"\n" not in self._unread:
             if not self._read(max(0.0, end - time.monotonic())):
                 late = time.monotonic() >= end
-                raise ChildError(self._failure_text(f"said nothing for {patience:g} s" if late else "ended"))
+                raise ChildError(self._failure_text(f"said nothing for {timeout:g} s" if late else "ended"))
         line, _, self._unread = self._unread.partition(b"\n")
         return line.decode()
 
@@ -84,9 +84,9 @@ class Child:
     def wait(self) -> None:
         """Wait for the end of the child. Raises ChildError for a status other than 0."""
         try:
-            status = self._process.wait(PATIENCE)
+            status = self._process.wait(TIMEOUT)
         except subprocess.TimeoutExpired:
-            raise ChildError(self._failure_text(f"did not end within {PATIENCE:g} s"))
+            raise ChildError(self._failure_text(f"did not end within {TIMEOUT:g} s"))
         if status:
             raise ChildError(self._failure_text(f"ended with status {status}"))
 
@@ -94,9 +94,9 @@ class Child:
         """Send SIGTERM for an orderly end."""
         self._process.terminate()
 
-    def ended(self, patience: float) -> bool:
-        """Return true if the child ends within `patience` seconds; its output is read and discarded."""
-        end = time.monotonic() + patience
+    def ended(self, timeout: float) -> bool:
+        """Return true if the child ends within `timeout` seconds; its output is read and discarded."""
+        end = time.monotonic() + timeout
         while self._process.poll() is None and time.monotonic() < end:
             self._read(0.02)
             self._unread = b""
@@ -111,11 +111,11 @@ class Child:
         self._process.stdout.close()
         self._stderr.close()
 
-    def _read(self, patience: float) -> bool:
+    def _read(self, timeout: float) -> bool:
         """Read the available output; returns False without any."""
         assert self._process.stdout is not None
         descriptor = self._process.stdout.fileno()
-        ready, _, _ = select.select([descriptor], [], [], patience)
+        ready, _, _ = select.select([descriptor], [], [], timeout)
         data = os.read(descriptor, 1 << 16) if ready else b""
         self._unread += data
         return bool(data)
@@ -144,13 +144,13 @@ class Processes:
 
     def start(
         self,
-        *words: str,
+        *arguments: str,
         environment: Mapping[str, str] = os.environ,
         folder: Path | None = None,
         merged: bool = False,
     ) -> Child:
         """Start a command in a folder (default: the current one)."""
-        child = Child(words, environment, folder or Path.cwd(), merged)
+        child = Child(arguments, environment, folder or Path.cwd(), merged)
         self._open.callback(child.end)
         return child
 

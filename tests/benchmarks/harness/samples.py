@@ -49,9 +49,9 @@ def timed(work: Callable[[], object], at_least: float = 0.0) -> float:
     while True:
         work()
         calls += 1
-        took = time.perf_counter() - start
-        if took >= at_least:
-            return took / calls
+        elapsed = time.perf_counter() - start
+        if elapsed >= at_least:
+            return elapsed / calls
 
 
 def in_turns(

@@ -54,7 +54,7 @@ from lfield.vm.host_calls import HostCallDispatcher
 
 HOPS, WARM_UP = 60, 40
 #: Seconds of virtual time that these hops take at most.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 _PACKAGE = str(Path(lfield.__file__).parent)
 #: A portal that commands a vehicle, for the device instruction.
 _DEVICE_PROGRAM = """
@@ -103,11 +103,11 @@ class Walk:
     @property
     def returns(self) -> int:
         """The number of moves to a file that the hop was in before."""
-        seen: set[str] = set()
+        observed: set[str] = set()
         count, last = 0, ""
         for file, _ in self.calls:
-            count += file != last and file in seen
-            seen.add(file)
+            count += file != last and file in observed
+            observed.add(file)
             last = file
         return count
 
@@ -211,7 +211,7 @@ def device_call(folder: Path) -> Walk:
         patch.setattr(HostCallDispatcher, "dispatch", dispatched)
         patch.setattr(Hardware, "command", commanded)
         fleet = Fleet(mission, options=FleetOptions(keeps=False))
-        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < PATIENCE:
+        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < TIMEOUT:
             fleet.run(1.0)
         sys.setprofile(None)
     fleet.close()
@@ -225,7 +225,7 @@ def simulated_hops(folder: Path, *, journals: bool) -> list[Walk]:
     mission = load_mission(_written(folder))
     with recording() as recorder:
         fleet = Fleet(mission, options=FleetOptions(keeps=journals))
-        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < PATIENCE:
+        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < TIMEOUT:
             fleet.run(1.0)
     fleet.close()
     hops = recorder.walks[WARM_UP : WARM_UP + HOPS]
@@ -289,9 +289,9 @@ def main() -> None:
     print(f"{'network':<11}{'journals':<10}{'calls':>7}{'files':>7}{'moves':>7}{'returns':>9}")
     for simulated, journals in product((False, True), repeat=2):
         least = shortest(simulated=simulated, journals=journals)
-        network, kept = "simulated" if simulated else "TCP", "yes" if journals else "no"
+        network, journaled = "simulated" if simulated else "TCP", "yes" if journals else "no"
         print(
-            f"{network:<11}{kept:<10}{len(least.calls):>7}{least.files:>7}{least.moves:>7}{least.returns:>9}"
+            f"{network:<11}{journaled:<10}{len(least.calls):>7}{least.files:>7}{least.moves:>7}{least.returns:>9}"
         )
         for file, function in least.calls if listed else ():
             print(f"    {file:<32} {function}")

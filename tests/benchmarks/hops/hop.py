@@ -41,9 +41,9 @@ def leased_hops(checkout: Checkout, processes: Processes) -> Contender:
 
 
 def _agents() -> tuple[str, ...]:
-    words = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
+    arguments = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
     kept = CALLS // 2
-    return f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{words}"
+    return f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{arguments}"
 
 
 def calls(library: str) -> Opener:
@@ -60,14 +60,14 @@ def calls(library: str) -> Opener:
 
 def _echoes(echo: Echo, count: int) -> list[float]:
     """Seconds of each of CALLS echoes, after a warm-up."""
-    data, taken = bytes(count), []
+    data, durations = bytes(count), []
     for _ in range(WARM_UP):
         echo(data)
     for _ in range(CALLS):
         start = time.perf_counter()
         echo(data)
-        taken.append(time.perf_counter() - start)
-    return taken
+        durations.append(time.perf_counter() - start)
+    return durations
 
 
 FIGURE = Figure(

@@ -37,16 +37,16 @@ def keeping(at_once: int) -> Opener:
 async def _keep(folder: Path, at_once: int) -> dict[str, list[float]]:
     clock = SystemClock()
     journal = FileJournal(folder / "host.journal", JournalOwner("bench", "here", ""), print, clock)
-    taken: dict[str, list[float]] = {}
+    durations: dict[str, list[float]] = {}
     for size in SIZES:
         block = bytes(size)
         for count in range(COMMITS):
             pages = [CoordinatorRecord(f"agent{n}", 1, "RUN", count, block=block) for n in range(at_once)]
             start = clock.monotonic()
             await asyncio.gather(*(journal.persist([page]) for page in pages))
-            taken.setdefault(_case(size), []).append((clock.monotonic() - start) / at_once)
+            durations.setdefault(_case(size), []).append((clock.monotonic() - start) / at_once)
     journal.close()
-    return taken
+    return durations
 
 
 def syncing(checkout: Checkout, processes: Processes) -> Contender:

@@ -88,9 +88,9 @@ async def _carry_out(mission: Mission) -> tuple[Counter[str], list[str]]:
     try:
         # Concurrently: a host with coordinators waits for the Hello of the other hosts before it starts them.
         await asyncio.gather(*(host.start() for host in hosts))
-        (fate,) = await wait_until_done(hosts[-1], _LOST_AFTER)
-        if fate.outcome != "done":
-            raise RuntimeError(f"{fate.agent} {fate.outcome}: {fate.detail}")
+        (outcome,) = await wait_until_done(hosts[-1], _LOST_AFTER)
+        if outcome.outcome != "done":
+            raise RuntimeError(f"{outcome.agent} {outcome.outcome}: {outcome.detail}")
         sent: Counter[str] = network.sent.copy()
     finally:
         for host in hosts:

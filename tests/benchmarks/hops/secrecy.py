@@ -31,8 +31,8 @@ def hops(*, plain: bool) -> Opener:
 def _wholes(size: int, *, plain: bool) -> list[float]:
     engine = "wasm" if has_wasm() else "reference"
     with Processes() as processes:
-        taken = event_loop.run(travel(processes.folder(), size, HOPS, engine, plain=plain))
-    return [_whole(hop) for hop in taken]
+        durations = event_loop.run(travel(processes.folder(), size, HOPS, engine, plain=plain))
+    return [_whole(hop) for hop in durations]
 
 
 def _whole(hop: Mapping[str, float]) -> float:

@@ -103,11 +103,11 @@ def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
 
 def rows(case: str, hops: list[Mapping[str, float]]) -> Iterator[Row]:
     """A row for each stage; the ratio is its share of the whole."""
-    whole = [sum(hop.values()) for hop in hops]
-    yield Row(case, ALL, samples=whole)
+    totals = [sum(hop.values()) for hop in hops]
+    yield Row(case, ALL, samples=totals)
     for stage in (*ORDER, ""):
         samples = [hop.get(stage, 0.0) for hop in hops]
-        share = median(samples) / median(whole)
+        share = median(samples) / median(totals)
         yield Row("", stage or REST, samples=samples, ratio=share)
 
 

@@ -39,7 +39,7 @@ def command(subcommand: str) -> Opener:
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         folder = processes.folder()
-        programs = [_write(folder, name, *made) for name, made in _programs().items()]
+        programs = [_write(folder, name, *source) for name, source in _programs().items()]
 
         def took() -> Round:
             with Processes() as own:

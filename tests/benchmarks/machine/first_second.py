@@ -33,10 +33,10 @@ def in_l(checkout: Checkout, processes: Processes, cached: bool) -> Contender:
     shared = processes.folder()
 
     def seconds(own: Processes, name: str) -> float:
-        words = *missions[name].arguments, *checkout.keeping_nothing, "--host", "here", "--until-done"
+        arguments = *missions[name].arguments, *checkout.keeping_nothing, "--host", "here", "--until-done"
         cache = shared if cached else own.folder()
         environment = {**checkout.environment, "XDG_CACHE_HOME": str(cache)}
-        command = checkout.python, "-m", "lfield", "up", *words
+        command = checkout.python, "-m", "lfield", "up", *arguments
         child = own.start(*command, environment=environment, folder=checkout.root, merged=True)
         return _processor_seconds(child, f"{name} {expected[name]}")
 

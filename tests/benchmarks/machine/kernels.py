@@ -166,8 +166,8 @@ def strings(n: int) -> int:
     """Create, search and read strings."""
     total = 0
     for i in range(n):
-        words = "agent " + str(i) + " of " + str(n)
-        total = total + len(words) + words.find("of") + int(words[6 : words.find(" of")])
+        text = "agent " + str(i) + " of " + str(n)
+        total = total + len(text) + text.find("of") + int(text[6 : text.find(" of")])
     return total
 
 

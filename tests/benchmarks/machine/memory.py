@@ -17,16 +17,16 @@ _KINDS = {"resident": "Rss:", "proportional": "Pss:"}
 def memory(checkout: Checkout, words: Sequence[str]) -> Round:
     """Bytes of one host."""
     with Processes() as processes:
-        told = (settled(checkout, processes, words) / "smaps_rollup").read_text(encoding="ascii")
-    kilobytes = {line.split()[0]: int(line.split()[1]) for line in told.splitlines() if line.endswith("kB")}
+        rollup = (settled(checkout, processes, words) / "smaps_rollup").read_text(encoding="ascii")
+    kilobytes = {line.split()[0]: int(line.split()[1]) for line in rollup.splitlines() if line.endswith("kB")}
     return {kind: [kilobytes[field] * 1024.0] for kind, field in _KINDS.items()}
 
 
 def _hosts() -> dict[str, Opener]:
     return {
-        f"from {told}, {engine}": small_host(memory, compiled=compiled, engine=engine)
+        f"from {source}, {engine}": small_host(memory, compiled=compiled, engine=engine)
         for engine in sorted(Checkout.own().engines)
-        for compiled, told in ((False, "L text"), (True, "a program file"))
+        for compiled, source in ((False, "L text"), (True, "a program file"))
     }
 
 

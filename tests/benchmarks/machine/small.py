@@ -46,13 +46,13 @@ def small_host(measure: Measure, loop: str = "parked", compiled: bool = False, e
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         agents = "//Part:part@here", "//First:first@here"
         mission = Mission(processes.folder(), _PROGRAM % _LOOPS[loop], agents)
-        words = [*mission.arguments, *checkout.keeping_nothing, "--host", "here"]
+        arguments = [*mission.arguments, *checkout.keeping_nothing, "--host", "here"]
         if compiled:
             built = mission.folder / "mission.lb"
             checkout.lfield(processes, "build", str(mission.source), "-o", str(built)).wait()
-            words += ["--program", str(built)]
-        words += checkout.engines[engine] if engine else ()
-        return lambda: measure(checkout, words)
+            arguments += ["--program", str(built)]
+        arguments += checkout.engines[engine] if engine else ()
+        return lambda: measure(checkout, arguments)
 
     return opener
 

@@ -36,9 +36,9 @@ def bare_python(checkout: Checkout, processes: Processes) -> Contender:
 
 def _hosts() -> dict[str, Opener]:
     return {
-        f"from {told}, {engine}": small_host(start, compiled=compiled, engine=engine)
+        f"from {source}, {engine}": small_host(start, compiled=compiled, engine=engine)
         for engine in sorted(Checkout.own().engines)
-        for compiled, told in ((False, "L text"), (True, "a program file"))
+        for compiled, source in ((False, "L text"), (True, "a program file"))
     }
 
 

@@ -75,13 +75,13 @@ def measure(checkout: Checkout, count: int) -> Round:
         while time.monotonic() - start < MEASURED:
             answers.append((browser.request(), time.monotonic()))
             time.sleep(max(0.0, ASKED_EVERY - (time.monotonic() - answers[-1][1])))
-        spent, took = processor_seconds(folder) - before, time.monotonic() - start
+        spent, elapsed = processor_seconds(folder) - before, time.monotonic() - start
         memory = (folder / "smaps_rollup").read_text(encoding="ascii")
         (resident,) = (
             float(line.split()[1]) * 1024 for line in memory.splitlines() if line.startswith("Rss:")
         )
         return {
-            PROCESSOR: [100 * spent / took],
+            PROCESSOR: [100 * spent / elapsed],
             MEMORY: [resident],
             ANSWER: [browser.size / 1000],
             LATCH: delays(hosts, answers, start, MEASURED),
@@ -97,11 +97,11 @@ def delays(
         device, latched, at = child.line().split()
         if float(at) > start + seconds - 1.0:
             return found
-        shown = (
+        label = (
             moment for page, moment in answers if moment > float(at) and page[device] == bool(int(latched))
         )
         if float(at) > start:
-            found.append(next(shown) - float(at))
+            found.append(next(label) - float(at))
 
 
 FIGURE = Figure(

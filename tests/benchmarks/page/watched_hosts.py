@@ -130,11 +130,11 @@ class Host:
 
 async def latches(hosts: list[Host]) -> None:
     """Latch or release a device and move a coordinator, repeatedly."""
-    dice, number = random.Random(2), 0
+    rng, number = random.Random(2), 0
     while True:
-        await asyncio.sleep(dice.uniform(0.5, 1.5) * LATCH_EVERY)
+        await asyncio.sleep(rng.uniform(0.5, 1.5) * LATCH_EVERY)
         number += 1
-        host = dice.choice(hosts)
+        host = rng.choice(hosts)
         device, host.latched = f"v{host.number}.fc", not host.latched
         what = DeviceLatched(device, "land", "somebody wants it") if host.latched else DeviceReleased(device)
         print(device, int(host.latched), time.monotonic(), flush=True)

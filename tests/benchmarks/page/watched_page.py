@@ -34,16 +34,16 @@ async def main(folder: str, count: int) -> None:
         "bench", hosts, agents, {f"v{n}.fc": Instruments(has_safe_state=True) for n in range(count)}
     )
     clock = SystemClock()
-    shown = TeamWatch(roll, clock)
+    watch = TeamWatch(roll, clock)
 
     async def reach(host: str) -> str:
         return f"unix:{folder}/{host}.sock"
 
-    page = ServedPage("bench", shown, NoOrders(), clock)  # type: ignore[arg-type]
+    page = ServedPage("bench", watch, NoOrders(), clock)  # type: ignore[arg-type]
     await asyncio.gather(
         serve(page, await local_site(0, print), lambda link: print(link, flush=True)),
-        shown.tick(),
-        EventFollower(observer_transport(), hosts, reach, shown, clock, FollowOptions(telemetry=RATE)).run(),
+        watch.tick(),
+        EventFollower(observer_transport(), hosts, reach, watch, clock, FollowOptions(telemetry=RATE)).run(),
     )
 
 

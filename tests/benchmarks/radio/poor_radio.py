@@ -46,11 +46,11 @@ PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {
 
 def rows(checkout: Checkout, samples: int, tick: Tick) -> Iterator[Row]:
     """The rows of all parts, or of those that $PARTS and $CELLS name."""
-    why = missing()
+    reason = missing()
     for name in chosen("PARTS", tuple(PARTS)):
         part, cells = PARTS[name]
-        if why and part is not virtual:
-            yield Row(name, "", error=why)
+        if reason and part is not virtual:
+            yield Row(name, "", error=reason)
             continue
         for cell in chosen("CELLS", cells):
             try:

@@ -24,7 +24,7 @@ from radio_fleet import DESK, HOSTS, RadioFleet, result_of
 
 PUSH_CELLS = ("perfect", "200 ms + 5 %", "57.6 kbit/s + 100 ms + 5 %", "20 %")
 #: Lines of text in the program, and seconds for one push.
-LINES, PATIENCE = 150, 300.0
+LINES, TIMEOUT = 150, 300.0
 PORT, SERVICE = 9000, 8182
 #: A program that receives a file and confirms it.
 RECEIVER = f"""
@@ -53,8 +53,8 @@ print(time.monotonic() - begun)
 
 def rows(checkout: Checkout, samples: int, tick: Tick) -> Iterator[Row]:
     """The rows of all cells, or of those that $CELLS names."""
-    if why := missing():
-        yield Row("push", "", error=why)
+    if reason := missing():
+        yield Row("push", "", error=reason)
         return
     for cell in chosen("CELLS", PUSH_CELLS):
         try:
@@ -67,7 +67,7 @@ def _cell(cell: str, samples: int, tick: Tick) -> Iterator[Row]:
     with Processes() as processes, Radio(*HOSTS, DESK) as radio:
         fleet = RadioFleet(radio, Path(processes.folder()))
         fleet.up()
-        size = result_of(fleet.desk("push", fleet.mission(LINES), "--json"), PATIENCE)["size"]
+        size = result_of(fleet.desk("push", fleet.mission(LINES), "--json"), TIMEOUT)["size"]
         for host in HOSTS:
             server = radio[host].start([sys.executable, "-Sc", RECEIVER], stdout=subprocess.PIPE)
             assert server.stdout is not None
@@ -75,19 +75,19 @@ def _cell(cell: str, samples: int, tick: Tick) -> Iterator[Row]:
         radio.set(CELLS[cell])
         pushes: list[float] = []
         sent: list[float] = []
-        whole: list[float] = []
+        push_seconds: list[float] = []
         for number in range(samples):
             tick(f"{cell}, push {number + 1}")
             mission = fleet.mission(LINES, last=f"change {number}")
             radio.reset()
-            begun = time.monotonic()
-            done = result_of(fleet.desk("push", mission, "--json"), PATIENCE)
+            started = time.monotonic()
+            done = result_of(fleet.desk("push", mission, "--json"), TIMEOUT)
             assert done["outcome"] == "activated", done
-            pushes.append(time.monotonic() - begun)
+            pushes.append(time.monotonic() - started)
             sent.append(radio.total(SERVICE).bytes)
-            whole.append(_whole(radio, size))
+            push_seconds.append(_whole(radio, size))
     yield Row(cell, "lfield push: built, sent, voted, active", samples=pushes)
-    yield Row("", "TCP: the whole bundle, received", samples=whole)
+    yield Row("", "TCP: the whole bundle, received", samples=push_seconds)
     yield Row("", "bytes on the air of a push to both", COUNT, sent)
     yield Row("", "bytes of the bundle", COUNT, [size])
 

@@ -65,8 +65,8 @@ def page(link: str) -> Press:
 def repeat_until_done(press: Press, order: str) -> float:
     """Repeat an order until it is carried out; returns the seconds."""
     start = time.monotonic()
-    while why := press(order):
-        print("again:", " ".join(why.split()), flush=True)
+    while reason := press(order):
+        print("again:", " ".join(reason.split()), flush=True)
     return time.monotonic() - start
 
 

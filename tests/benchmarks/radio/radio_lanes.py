@@ -12,7 +12,7 @@ from harness.processes import Child, ChildError
 from radio.radio_team import DESK
 
 #: Seconds between two polls of the processes' output; seconds without a sample after which a lane has failed.
-POLL_INTERVAL, PATIENCE = 0.005, 240.0
+POLL_INTERVAL, TIMEOUT = 0.005, 240.0
 
 
 @dataclass
@@ -76,8 +76,8 @@ class StopLane(Lane):
 
     def start(self, cell: str, skip: int = 0) -> None:
         super().start(cell, skip)
-        for kept in (self.sizes, self.idle, self.again):
-            kept.clear()
+        for samples in (self.sizes, self.idle, self.again):
+            samples.clear()
 
     def on_line(self, line: str) -> None:
         if line.startswith("again: "):
@@ -95,8 +95,8 @@ class StopLane(Lane):
             self.sizes.append(max(0.0, sent - self.idle[-1] * took))
 
 
-def watch(lanes: Sequence[Lane], done: Callable[[], bool], patience: float = PATIENCE) -> None:
-    """Poll lanes until `done`. Raises ChildError for a lane without a sample for `patience` seconds."""
+def watch(lanes: Sequence[Lane], done: Callable[[], bool], timeout: float = TIMEOUT) -> None:
+    """Poll lanes until `done`. Raises ChildError for a lane without a sample for `timeout` seconds."""
     counts, last = [-1] * len(lanes), [0.0] * len(lanes)
     while not done():
         now = time.monotonic()
@@ -104,8 +104,8 @@ def watch(lanes: Sequence[Lane], done: Callable[[], bool], patience: float = PAT
             lane.read_output()
             if len(lane.samples) != counts[n]:
                 counts[n], last[n] = len(lane.samples), now
-            elif now - last[n] > patience:
-                raise ChildError(f"no sample within {patience:g} s; the last line was: {lane.last_line}")
+            elif now - last[n] > timeout:
+                raise ChildError(f"no sample within {timeout:g} s; the last line was: {lane.last_line}")
         time.sleep(POLL_INTERVAL)
 
 
@@ -122,7 +122,7 @@ def outages(lanes: Sequence[Lane], robot: str, seconds: float) -> list[float]:
     """Cut off a robot of each lane; returns seconds from the path's return until the next sample."""
     returns = [lane.radio.cut(seconds, robot) for lane in lanes]
     pairs = list(zip(lanes, returns, strict=True))
-    watch(lanes, lambda: all(_after(lane, back) for lane, back in pairs), PATIENCE + seconds)
+    watch(lanes, lambda: all(_after(lane, back) for lane, back in pairs), TIMEOUT + seconds)
     return [_after(lane, back)[0] - back for lane, back in pairs]
 
 

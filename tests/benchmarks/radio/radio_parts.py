@@ -59,7 +59,7 @@ STOP_PEERS = {
 _HERE = Path(__file__).parent
 _PEERS, _DESK = str(_HERE / "radio_peers.py"), str(_HERE / "radio_desk.py")
 #: Seconds for the start of a team.
-_PATIENCE = 120.0
+_TIMEOUT = 120.0
 _COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]"
 
 #: Starts a lane for each seed of a radio; the processes end with `Processes`.
@@ -87,12 +87,12 @@ def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[R
     """A stop of teams of one and of five hosts, by the command and the page, compared with small requests."""
     for hosts in map(int, chosen("HOSTS", ("1", "5"))):
         for way in chosen("WAYS", ("command", "watch open", "page")):
-            case, shown = f"stop of {hosts}, {cell}", f"lfield, {way}"
+            case, label = f"stop of {hosts}, {cell}", f"lfield, {way}"
             tick(f"{case}, {way}")
             try:
                 yield from _stops(checkout, samples, cell, hosts, way)
             except Exception as error:
-                yield Row(case, shown, error=sentence(error))
+                yield Row(case, label, error=sentence(error))
     starters = {
         name: peers(checkout, STOP_PEERS[name][0], ORDER, fresh=STOP_PEERS[name][1])
         for name in chosen("PEERS", tuple(STOP_PEERS))
@@ -134,13 +134,13 @@ def outages(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator
             for case, delays in _interruptions(every, tick):
                 for (name, _), delay in zip(lanes, delays, strict=True):
                     found.setdefault((f"{case}, {cell}", name), []).append(delay)
-    shown = ""
+    label = ""
     for (case, name), delays in found.items():
         there = [delay for delay in delays if delay < WITHIN]
-        yield Row("" if case == shown else case, name, samples=there)
+        yield Row("" if case == label else case, name, samples=there)
         if late := len(delays) - len(there):
             yield Row("", f"{name}: not within {WITHIN:g} s", COUNT, [late])
-        shown = case
+        label = case
 
 
 def _interruptions(lanes: Sequence[Lane], tick: Tick) -> Iterator[tuple[str, list[float]]]:
@@ -188,26 +188,26 @@ def _bytes_per_second(radio: Radio, name: str = "") -> float:
     """Bytes per second of the whole radio, or to and from one end."""
     time.sleep(SETTLES)
     radio.reset()
-    begun = time.monotonic()
+    started = time.monotonic()
     time.sleep(AT_REST)
     flows = radio.counts().items()
     sent = sum(count.bytes for flow, count in flows if not name or name in (flow.source, flow.to))
-    return sent / (time.monotonic() - begun)
+    return sent / (time.monotonic() - started)
 
 
 def _compared(case: str, starters: dict[str, Starter], samples: int, tick: Tick, cell: str) -> Iterator[Row]:
     """The contenders in sequence, each with its own lanes."""
-    shown = case
+    label = case
     for name, start in starters.items():
         tick(f"{case}, {name}")
         try:
             with Processes() as processes:
                 lanes = start(processes, _seeds(cell, samples, LANES))
-                yield Row(shown, name, samples=collect(lanes, cell, samples, WARM_UP))
+                yield Row(label, name, samples=collect(lanes, cell, samples, WARM_UP))
         except Exception as error:
             yield Row(case, name, error=sentence(error))
         else:
-            shown = ""
+            label = ""
 
 
 def _seeds(cell: str, samples: int, most: int) -> range:
@@ -235,13 +235,13 @@ def peers(checkout: Checkout, name: str, size: int, pause: float = 0.0, *, fresh
         keys = str(Keyring(processes.folder()).give("host") / "host")
         radios = [processes.keep(Radio(NEAR, FAR, seed=seed)) for seed in seeds]
 
-        def children(robot: str, what: str, *words: str) -> list[Child]:
+        def children(robot: str, what: str, *arguments: str) -> list[Child]:
             """Start the children, then wait for a line of each: a client's first echo is not measured."""
             environment, command = checkout.environment, (checkout.python, _PEERS, what, name)
-            lines = [r[robot].line((*command, r[FAR].address, keys, *words)) for r in radios]
+            lines = [r[robot].line((*command, r[FAR].address, keys, *arguments)) for r in radios]
             started = [processes.start(*line, environment=environment) for line in lines]
             for child in started:
-                child.line(_PATIENCE)
+                child.line(_TIMEOUT)
             return started
 
         children(FAR, "serve")
@@ -287,8 +287,8 @@ def link_of_page(team: RadioTeam) -> str:
 
 def until(child: Child, words: str) -> str:
     """Wait for a line with these words. Raises ChildError without one."""
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + _TIMEOUT
     while time.monotonic() < end:
-        if words in (line := child.line(_PATIENCE)):
+        if words in (line := child.line(_TIMEOUT)):
             return line
-    raise ChildError(f"no line with '{words}' within {_PATIENCE:g} s")
+    raise ChildError(f"no line with '{words}' within {_TIMEOUT:g} s")

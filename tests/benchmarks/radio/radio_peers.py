@@ -25,7 +25,7 @@ from lfield.authority.key_material import AUTHORITY, certificate_name, key_name
 
 PORT = 9000
 #: Seconds to wait for a new connection, and between two attempts.
-PATIENCE, BETWEEN = 30.0, 0.1
+TIMEOUT, BETWEEN = 30.0, 0.1
 _LENGTH = struct.Struct("<I")
 
 
@@ -46,7 +46,7 @@ class TcpClient:
     """A TCP connection without delay of small packets; optionally TLS with certificates of both ends."""
 
     def __init__(self, address: str, keys: Path, *, tls: bool = False) -> None:
-        self._socket = socket.create_connection((address, PORT), PATIENCE)
+        self._socket = socket.create_connection((address, PORT), TIMEOUT)
         self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if tls:

@@ -16,7 +16,7 @@ PORT = 8181
 #: The port for peers of a Zenoh fabric.
 FABRIC_PORT = 7447
 #: Seconds for the end of a host.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 _CONFIG = Path("lfield") / "keys"
 
 
@@ -58,7 +58,7 @@ class RadioTeam:
     def mission(self) -> list[str]:
         """Arguments for a command: the bundle, and the addresses of the hosts."""
         addresses = {host: self.radio[host].address for host in self._prepared.hosts}
-        maps = [word for host, at in addresses.items() for word in ("--map", f"{host}={at}:{PORT}")]
+        maps = [argument for host, at in addresses.items() for argument in ("--map", f"{host}={at}:{PORT}")]
         return [str(self._prepared.bundle), *maps]
 
     def _network(self, host: str) -> list[str]:
@@ -75,9 +75,9 @@ class RadioTeam:
         inventory.write_text(text, encoding="utf-8")
         return ["--inventory", str(inventory)]
 
-    def desk(self, *words: str) -> Child:
+    def desk(self, *arguments: str) -> Child:
         """Start a Python command at the desk, which has keys with all rights."""
-        return self._start(DESK, *words)
+        return self._start(DESK, *arguments)
 
     def watch(self) -> Child:
         """Start `lfield watch` at the desk; the first output line with http has the link of the page."""
@@ -88,16 +88,16 @@ class RadioTeam:
         for child in self.children.values():
             child.ask_to_end()
         for child in self.children.values():
-            child.ended(PATIENCE)
+            child.ended(TIMEOUT)
 
     def _up(self, host: str) -> Child:
         journal = "--state", str(self._folder / host / "kept")
         memory = journal if self._kept else self._prepared.checkout.keeping_nothing
         simulated = ("--sim",) if self._prepared.simulated else ()
-        words = str(self._prepared.bundle), *self._network(host), "--host", host, *memory, *simulated
-        return self._start(host, "-m", "lfield", "up", *words)
+        arguments = str(self._prepared.bundle), *self._network(host), "--host", host, *memory, *simulated
+        return self._start(host, "-m", "lfield", "up", *arguments)
 
-    def _start(self, name: str, *words: str) -> Child:
+    def _start(self, name: str, *arguments: str) -> Child:
         own = self._folder / name
         own.mkdir(mode=0o700, exist_ok=True)
         checkout = self._prepared.checkout
@@ -107,6 +107,6 @@ class RadioTeam:
             "XDG_STATE_HOME": str(own),
             "PYTHONUNBUFFERED": "1",
         }
-        line = self.radio[name].line((checkout.python, *words))
+        line = self.radio[name].line((checkout.python, *arguments))
         start = self._prepared.processes.start
         return start(*line, environment=environment, folder=checkout.root, merged=True)

@@ -33,9 +33,9 @@ def hops_over_zenoh(checkout: Checkout, processes: Processes) -> Contender:
         'hosts: {a: {addresses: ["zenoh:a"]}, b: {addresses: ["zenoh:b"]}}\n',
         encoding="utf-8",
     )
-    words = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
+    arguments = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
     kept = CALLS // 2
-    agents = (f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{words}")
+    agents = (f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{arguments}")
     maps = ("--inventory", str(inventory), "--map", "a=zenoh:a:8181", "--map", "b=zenoh:b:8181")
     return paced_mission(checkout, processes, PROGRAM, agents, options=maps)
 

@@ -54,13 +54,13 @@ def checkpoints(example: Path, seconds: float) -> dict[str, list[float]]:
         options=FleetOptions(record=RecordingMemory()),
     )
     fleet.run(seconds)
-    taken, sizes = [], []
+    durations, sizes = [], []
     for snapshots in made:
         for _ in range(ROUNDS):
-            taken.append(timed(partial(stored, snapshots)))
+            durations.append(timed(partial(stored, snapshots)))
         sizes.append(float(len(stored(snapshots))))
     fleet.close()
-    return {"time": taken, "size": sizes}
+    return {"time": durations, "size": sizes}
 
 
 def recorded_hour(folder: Path, seconds: float) -> TeamRecording:
@@ -96,11 +96,13 @@ def samples_by_case(seconds: float) -> dict[str, list[float]]:
         team = recorded_hour(Path(place), seconds)
         parts = [part for each in team.incarnations for part in each.parts]
         covered = statistics.mean(part.ended_at - part.started_at for part in parts)
-        took = timed(lambda: check_team(team))
-        cases["replay of two hosts: times real time"] = [covered / took]
-        made: list[Debugger] = []
-        cases["debugger: opened"] = [timed(lambda: made.append(Debugger(TeamTimeline(parts, team.mission))))]
-        (debugger,) = made
+        elapsed = timed(lambda: check_team(team))
+        cases["replay of two hosts: times real time"] = [covered / elapsed]
+        debuggers: list[Debugger] = []
+        cases["debugger: opened"] = [
+            timed(lambda: debuggers.append(Debugger(TeamTimeline(parts, team.mission))))
+        ]
+        (debugger,) = debuggers
         debugger.enter()
         first, *more = steps_back(debugger)
         cases["debugger: first step back from the end"] = [first]
@@ -109,8 +111,8 @@ def samples_by_case(seconds: float) -> dict[str, list[float]]:
         debugger.enter()
         for text in (f"number == {int(seconds / 0.2) // 2 * 2 - 200}", "isLate"):
             target = debugger.condition_target(text)
-            took = timed(lambda target=target: debugger.search(target))  # type: ignore[misc]
-            cases[f"debugger: until {text.partition(' ')[0]}, the whole hour"] = [took]
+            elapsed = timed(lambda target=target: debugger.search(target))  # type: ignore[misc]
+            cases[f"debugger: until {text.partition(' ')[0]}, the whole hour"] = [elapsed]
             debugger.go_to(debugger.team.start)
     return cases
 

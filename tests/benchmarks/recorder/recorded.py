@@ -19,7 +19,7 @@ _HERE = Path(__file__).parent
 _HOP = _HERE.with_name("hops") / "hop.L"
 WITHOUT, WITH = "without a recorder", "with a recorder"
 #: Seconds for making and using a recording of an hour.
-_PATIENCE = 900.0
+_TIMEOUT = 900.0
 
 
 def _rows(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
@@ -35,17 +35,17 @@ def _rows(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
             yield from _team_rows(case, costs)
     tick("a recording of one hour")
     with Processes() as processes:
-        found = json.loads(checkout.run(processes, str(_HERE / "one_hour.py")).line(_PATIENCE))
+        found = json.loads(checkout.run(processes, str(_HERE / "one_hour.py")).line(_TIMEOUT))
     for case, samples in found.items():
         unit = BYTES if case.endswith(": size") else TIMES if "times" in case else "s"
         yield Row(case, "", unit, samples, target="1 s" if "first step back" in case else "")
 
 
 def _team_rows(case: str, costs: dict[str, list[Cost]]) -> Iterator[Row]:
-    shown = f"{case}: processor of a host"
+    label = f"{case}: processor of a host"
     for name, found in costs.items():
-        yield Row(shown, name, PERCENT, [each.processor for each in found])
-        shown = ""
+        yield Row(label, name, PERCENT, [each.processor for each in found])
+        label = ""
     yield Row("", f"bytes a minute, {WITH}", BYTES, [each.bytes_a_minute for each in costs[WITH]])
     if any(each.hops for each in costs[WITH]):
         for name, found in costs.items():
@@ -68,11 +68,11 @@ def _hops(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
             {WITHOUT: partial(opener, WITHOUT), WITH: partial(opener, WITH)}, rounds, tick
         )
     yield from (Row("a hop", name, error=error) for name, error in errors.items())
-    shown = "a hop"
+    label = "a hop"
     for name, of_case in samples.items():
         for found in of_case.values():
-            yield Row(shown, name, samples=flat(found))
-            shown = ""
+            yield Row(label, name, samples=flat(found))
+            label = ""
     for case in samples.get(WITH, {}).keys() & samples.get(WITHOUT, {}).keys():
         ratios = pair_ratios(samples[WITH][case], samples[WITHOUT][case])
         yield Row("", "ratio of the medians of each round", TIMES, ratios, target="1.15x")

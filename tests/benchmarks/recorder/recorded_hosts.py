@@ -73,10 +73,17 @@ def cost_of(checkout: Checkout, team: Team, records: Path | None) -> Cost:
     """Measure a team with or without recording into a folder."""
     with Processes() as processes:
         where = ("--no-record",) if records is None else ("--record", str(records))
-        words = ("--deploy", str(team.deployment), "--all", *checkout.keeping_nothing, *team.options, *where)
+        arguments = (
+            "--deploy",
+            str(team.deployment),
+            "--all",
+            *checkout.keeping_nothing,
+            *team.options,
+            *where,
+        )
         places = {"PYTHONPATH": os.pathsep.join(team.places)} if team.places else {}
         child = processes.start(
-            checkout.python, "-m", "lfield", "up", *words,
+            checkout.python, "-m", "lfield", "up", *arguments,
             environment={**checkout.environment, **places}, folder=checkout.root, merged=True,
         )  # fmt: skip
         processes.at_end(lambda: (child.ask_to_end(), child.ended(30.0)))
@@ -98,10 +105,10 @@ def _measured(child: Child, hosts: int, records: Path | None) -> Cost:
     first, before, stored = _last_hop(child.lines(), 0), _spent(folders), _stored(records)
     start = time.perf_counter()
     time.sleep(SECONDS)
-    took = time.perf_counter() - start
+    elapsed = time.perf_counter() - start
     spent, written = _spent(folders) - before, _stored(records) - stored
     hops = _last_hop(child.lines(), first) - first
-    return Cost(100 * spent / took / hosts, 60 * written / took / hosts, hops / took)
+    return Cost(100 * spent / elapsed / hosts, 60 * written / elapsed / hosts, hops / elapsed)
 
 
 def _processes(parent: int) -> list[Path]:
@@ -110,7 +117,7 @@ def _processes(parent: int) -> list[Path]:
     for task in Path(f"/proc/{parent}/task").iterdir():
         for word in (task / "children").read_text(encoding="ascii").split():
             folder = Path(f"/proc/{word}")
-            if any(ours in (folder / "cmdline").read_bytes() for ours in _OURS):
+            if any(name in (folder / "cmdline").read_bytes() for name in _OURS):
                 found.append(folder)
             found += _processes(int(word))
     return found

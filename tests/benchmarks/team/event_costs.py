@@ -71,13 +71,13 @@ def telemetry(step: int) -> TelemetrySample:
 
 def per_call(work: Callable[[], object], count: int, rounds: int = 20) -> list[float]:
     """Processor seconds of one call, for each round."""
-    taken = []
+    durations = []
     for _ in range(rounds):
         start = time.process_time()
         for _ in range(count):
             work()
-        taken.append((time.process_time() - start) / count)
-    return taken
+        durations.append((time.process_time() - start) / count)
+    return durations
 
 
 def recorded(cases: dict[str, tuple[str, list[float]]]) -> None:
@@ -124,10 +124,10 @@ def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
         observer.on_sample(
             {key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, uptime
         )
-        made = observer.next_batch(1.7e9, uptime + MIN_INTERVAL, lambda: STATUS)
-        assert made is not None
-        assert len(made.events) >= VEHICLES
-        encode(made)
+        batch = observer.next_batch(1.7e9, uptime + MIN_INTERVAL, lambda: STATUS)
+        assert batch is not None
+        assert len(batch.events) >= VEHICLES
+        encode(batch)
         observer.on_ack(step + 1, uptime)
         step += 1
 
@@ -150,10 +150,10 @@ def lost(cases: dict[str, tuple[str, list[float]]]) -> None:
                 stream.append(what, clock.time(), uptime)
         if tick % 20 == 0 and unread:
             observer.on_ack(unread.pop(0), uptime)
-        if made := observer.next_batch(clock.time(), uptime, lambda: STATUS):
-            unread.append(made.batch)
-            missing.update(made.lost)
-            count += sum(event.kind not in events.TELEMETRY for event in made.events)
+        if batch := observer.next_batch(clock.time(), uptime, lambda: STATUS):
+            unread.append(batch.batch)
+            missing.update(batch.lost)
+            count += sum(event.kind not in events.TELEMETRY for event in batch.events)
     cases["states lost, one batch read a second"] = COUNT, [float(missing["state"])]
     cases["telemetry lost, one batch read a second"] = COUNT, [float(missing["measured"])]
     cases["states sent to it"] = COUNT, [float(count)]

@@ -20,12 +20,12 @@ UNWATCHED, WATCHED = "no observer", "both hosts are observed"
 
 
 def _mission(processes: Processes, name: str) -> Mission:
-    words = f"{CALLS}&{WARM_UP}&{SIZE}"
+    arguments = f"{CALLS}&{WARM_UP}&{SIZE}"
     agents = {
         "hop": (
             f"//Post:near@a?{CALLS // 2}",
             f"//Post:far@b?{CALLS // 2}",
-            f"//Traveller:traveller@a?{words}",
+            f"//Traveller:traveller@a?{arguments}",
         ),
         "local": ("//Store:store@a", "//Caller:caller@a?10&200&10"),
     }[name]
@@ -62,10 +62,10 @@ def _side_by_side(checkout: Checkout, rounds: int, tick: Tick, name: str, measur
             {UNWATCHED: lambda: opener(False), WATCHED: lambda: opener(True)}, rounds, tick
         )
     for case in samples.get(UNWATCHED, {}):
-        shown = f"{measured}: {case}"
+        label = f"{measured}: {case}"
         for contender, of_case in samples.items():
-            yield Row(shown, contender, samples=flat(of_case[case]))
-            shown = ""
+            yield Row(label, contender, samples=flat(of_case[case]))
+            label = ""
         yield Row("", "ratio", TIMES, pair_ratios(samples[WATCHED][case], samples[UNWATCHED][case]))
     yield from (Row(measured, contender, error=error) for contender, error in errors.items())
 

@@ -23,7 +23,7 @@ from lfield.replication.membership.overlay import Overlay
 #: Numbers of hosts, limited by 2 cores and 23 GB.
 TEAMS = 10, 20, 50, 100
 #: Seconds within which all hosts of a team must be linked, and seconds of measurement at rest.
-PATIENCE, IDLE = 300.0, 15.0
+TIMEOUT, IDLE = 300.0, 15.0
 #: The end of the log line about a new link.
 ESTABLISHED = " established"
 ALL_LINKED, STARTED = "all neighbours linked", "processor of a host until then"
@@ -48,7 +48,7 @@ def measure(checkout: Checkout, hosts: int) -> Round:
         mission = write_mission(processes.folder(), hosts)
         options = ("--all", "--volatile", "--no-record")
         up = checkout.lfield(processes, "up", str(mission), *options, *_maps(hosts), merged=True)
-        took = _await_links(up, hosts)
+        elapsed = _await_links(up, hosts)
         folders = _children(up.pid)
         started = sum(map(processor_seconds, folders))
         memory = [_memory(folder) for folder in folders]
@@ -57,9 +57,9 @@ def measure(checkout: Checkout, hosts: int) -> Round:
         spent, seconds = sum(map(processor_seconds, folders)) - before, time.monotonic() - start
         commands = {name: [_command(checkout, mission, name)] for name in (PS, PS_JSON)}
         up.ask_to_end()
-        up.ended(PATIENCE)
+        up.ended(TIMEOUT)
         return {
-            ALL_LINKED: [took],
+            ALL_LINKED: [elapsed],
             STARTED: [started / hosts],
             AT_REST: [100 * spent / seconds / hosts],
             RESIDENT: [sum(rss for rss, _ in memory) / hosts],
@@ -80,17 +80,19 @@ def _maps(hosts: int) -> list[str]:
     ports = set[int]()
     while len(ports) < hosts:
         ports.add(free_port())
-    return [word for n, port in enumerate(sorted(ports)) for word in ("--map", f"h{n}=127.0.0.1:{port}")]
+    return [
+        argument for n, port in enumerate(sorted(ports)) for argument in ("--map", f"h{n}=127.0.0.1:{port}")
+    ]
 
 
 def _await_links(up: Child, hosts: int) -> float:
-    """Seconds until each host has logged a link with each neighbour. Raises ChildError after PATIENCE."""
+    """Seconds until each host has logged a link with each neighbour. Raises ChildError after TIMEOUT."""
     names = [f"h{n}" for n in range(hosts)]
     expected = sum(len(Overlay(names, here).neighbours) for here in range(hosts))
     while expected:
-        left = up.started + PATIENCE - time.perf_counter()
+        left = up.started + TIMEOUT - time.perf_counter()
         if left <= 0.0:
-            raise ChildError(f"{expected} ends of links are missing after {PATIENCE:g} s")
+            raise ChildError(f"{expected} ends of links are missing after {TIMEOUT:g} s")
         expected -= up.line(left).endswith(ESTABLISHED)
     return time.perf_counter() - up.started
 
@@ -112,9 +114,9 @@ def _memory(folder: Path) -> tuple[float, float]:
 def _command(checkout: Checkout, mission: Path, name: str) -> float:
     """Seconds of a whole command."""
     _, verb, *options = name.split()
-    words = [checkout.python, "-m", "lfield", verb, str(mission), *options]
+    arguments = [checkout.python, "-m", "lfield", verb, str(mission), *options]
     start = time.perf_counter()
-    subprocess.run(words, env=checkout.environment, stdout=subprocess.DEVNULL, check=True)
+    subprocess.run(arguments, env=checkout.environment, stdout=subprocess.DEVNULL, check=True)
     return time.perf_counter() - start
 
 

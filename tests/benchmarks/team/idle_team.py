@@ -63,14 +63,14 @@ def main() -> None:
         return data
 
     with mock.patch.object(framed_link, "encode", encode):
-        began = time.process_time()
+        started = time.process_time()
         fleet = Fleet(team, 1)
         fleet.run(SETTLE)
         up = time.process_time()
         messages = sent = 0
         fleet.run(seconds)
-        took = time.process_time() - up
-    print(messages / hosts / seconds, sent / hosts / seconds, up - began, took / seconds, flush=True)
+        elapsed = time.process_time() - up
+    print(messages / hosts / seconds, sent / hosts / seconds, up - started, elapsed / seconds, flush=True)
 
 
 if __name__ == "__main__":

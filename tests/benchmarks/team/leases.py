@@ -14,7 +14,7 @@ from harness.samples import Contender
 #: Seconds of virtual time by number of hosts.
 TEAMS = {3: 60.0, 9: 30.0, 30: 30.0}
 #: Seconds for the largest team on a slow computer.
-PATIENCE = 300.0
+TIMEOUT = 300.0
 KINDS = {"volatile": "without journal", "kept": "with journal", "leased": "with journal and leases"}
 OF_A_HOP = ("messages of a hop", "commits of a hop")
 AT_REST = ("messages of a host each second", "bytes of a host each second")
@@ -31,8 +31,8 @@ def team(kind: str) -> Opener:
             for hosts, seconds in TEAMS.items():
                 with Processes() as processes:
                     child = checkout.run(processes, _TEAM, kind, str(hosts), str(seconds))
-                    costs = map(float, child.line(PATIENCE).split())
-                    messages, sent = map(float, child.line(PATIENCE).split())
+                    costs = map(float, child.line(TIMEOUT).split())
+                    messages, sent = map(float, child.line(TIMEOUT).split())
                 if hosts == min(TEAMS):
                     found |= {what: [round(cost, 2)] for what, cost in zip(OF_A_HOP, costs, strict=True)}
                 found[f"{hosts} hosts: {AT_REST[0]}"] = [round(messages, 1)]

@@ -12,10 +12,10 @@ from lfield.testing.mission.mission_team import MissionTeam
 def main() -> None:
     """Load the mission before the measurement: loading is mostly compilation."""
     team = MissionTeam(Path(sys.argv[1]).resolve())
-    began, clock = team.now, time.process_time()
+    started, clock = team.now, time.process_time()
     team.run(until_done=True)
-    took = time.process_time() - clock
-    print(team.now - began, took, len(team.hops), flush=True)
+    elapsed = time.process_time() - clock
+    print(team.now - started, elapsed, len(team.hops), flush=True)
 
 
 if __name__ == "__main__":

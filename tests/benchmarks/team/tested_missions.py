@@ -23,7 +23,7 @@ CASES = {
     "no devices": "11-multiple-tiers",
 }
 #: Seconds for the slowest mission on a slow computer.
-PATIENCE = 300.0
+TIMEOUT = 300.0
 MISSION, TEST = "the mission", "its test"
 
 _TESTED = str(Path(__file__).with_name("tested_mission.py"))
@@ -38,7 +38,7 @@ def seconds(number: int) -> Opener:
             for case, example in CASES.items():
                 with Processes() as processes:
                     mission = checkout.root / "examples" / example / "mission.dL"
-                    output = checkout.run(processes, _TESTED, str(mission)).line(PATIENCE)
+                    output = checkout.run(processes, _TESTED, str(mission)).line(TIMEOUT)
                     rounds[case] = [float(output.split()[number])]
             return rounds
 

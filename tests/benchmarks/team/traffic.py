@@ -14,7 +14,7 @@ from harness.samples import Contender
 #: Seconds of virtual time by number of hosts.
 TEAMS = {3: 60.0, 10: 30.0, 30: 30.0, 50: 30.0, 100: 60.0, 300: 10.0, 1000: 60.0}
 #: Seconds for the largest team on a slow computer.
-PATIENCE = 600.0
+TIMEOUT = 600.0
 MESSAGES, BYTES = "messages of a host each second", "bytes of a host each second"
 START, SECOND = "start, 10 s: processor", "a second: processor"
 
@@ -28,7 +28,7 @@ def team(hosts: int) -> Opener:
         def measure() -> Round:
             with Processes() as processes:
                 child = checkout.run(processes, _TEAM, str(hosts), str(TEAMS[hosts]))
-                messages, sent, start, second = map(float, child.line(PATIENCE).split())
+                messages, sent, start, second = map(float, child.line(TIMEOUT).split())
                 rates = {MESSAGES: [round(messages, 1)], BYTES: [sent / 1000]}
                 return {**rates, START: [start], SECOND: [second]}
 

@@ -361,13 +361,13 @@ def test_decoding_equals_cantools(tmp_path):
     """cantools as reference: the same places, signs, byte orders, scales and pages."""
     path, rng = tmp_path / "both.dbc", random.Random(4)
     path.write_text(EXTENDED_PAGES + ARM[len(HEAD) :], encoding="cp1252")
-    ours, theirs = DbcFile(str(path)), cantools.database.load_file(path)
-    for message in theirs.messages:
+    own, reference = DbcFile(str(path)), cantools.database.load_file(path)
+    for message in reference.messages:
         for _ in range(200):
             data = rng.randbytes(message.length)
             try:
                 values = message.decode(data, decode_choices=False)
             except cantools.database.DecodeError:
-                assert ours.problem(Frame(message.frame_id, data))
+                assert own.problem(Frame(message.frame_id, data))
                 continue
-            assert ours.decode(Frame(message.frame_id, data))[1] == pytest.approx(values)
+            assert own.decode(Frame(message.frame_id, data))[1] == pytest.approx(values)

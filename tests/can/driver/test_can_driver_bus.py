@@ -49,12 +49,12 @@ class BusBench:
         return any(words in note for note in self.notes)
 
 
-def run(endpoint, story):
+def run(endpoint, scenario):
     async def main():
         bench = BusBench(endpoint)
         await bench.bus.open()
         try:
-            return await story(bench)
+            return await scenario(bench)
         finally:
             await bench.bus.close()
 
@@ -130,21 +130,21 @@ class Stub(can.BusABC):
 @pytest.fixture
 def stub(monkeypatch):
     """Make the next buses stubs; returns the list of the stubs that were opened."""
-    made: list[Stub] = []
+    stubs: list[Stub] = []
 
     def install(send=lambda bus, message: None):
         def make(**_):
-            made.append(Stub(send))
-            return made[-1]
+            stubs.append(Stub(send))
+            return stubs[-1]
 
         monkeypatch.setattr(connection.can, "Bus", make)
-        return made
+        return stubs
 
     return install
 
 
 def test_frames_are_sent_and_received():
-    async def story(bench):
+    async def scenario(bench):
         with can.Bus(interface="virtual", channel="frames") as other:
             await bench.bus.send(Frame(0x123, b"\1\2"))
             await bench.bus.send(Frame(0x123, b"", extended=True))
@@ -156,13 +156,13 @@ def test_frames_are_sent_and_received():
             await bench.until(lambda: bench.frames)
         assert bench.frames == [Frame(0x321, b"\7")]
 
-    run("virtual:frames", story)
+    run("virtual:frames", scenario)
 
 
 def test_error_frames_are_counted_and_noted_at_intervals(stub):
     made = stub()
 
-    async def story(bench):
+    async def scenario(bench):
         made[0].pending += [
             can.Message(arbitration_id=0x08, is_error_frame=True, data=b"\0") for _ in range(50)
         ]
@@ -171,20 +171,20 @@ def test_error_frames_are_counted_and_noted_at_intervals(stub):
         assert note.code == "can-error-frames"
         assert note.startswith("error frames on virtual:x (count 1): protocol violation; check terminators")
 
-    run("virtual:x", story)
+    run("virtual:x", scenario)
 
 
 def test_bus_off_reopens_the_interface(stub):
     made = stub()
 
-    async def story(bench):
+    async def scenario(bench):
         made[0].pending.append(can.Message(arbitration_id=0x40, is_error_frame=True, data=b"\0"))
         await bench.until(lambda: bench.noted("link opened: "))
         assert bench.notes == ["link lost: virtual:x: bus off", "link opened: virtual:x"]
         await bench.bus.send(Frame(1))
         assert [m.arbitration_id for m in made[1].sent] == [1]
 
-    run("virtual:x", story)
+    run("virtual:x", scenario)
 
 
 def test_controller_states_and_the_cause_of_bus_off_are_noted(stub):
@@ -193,7 +193,7 @@ def test_controller_states_and_the_cause_of_bus_off_are_noted(stub):
     def error(identifier, data=b""):
         return can.Message(arbitration_id=identifier, is_error_frame=True, data=data)
 
-    async def story(bench):
+    async def scenario(bench):
         made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x04, b"\0\x40")]
         await bench.until(lambda: bench.bus.errors == 3)
         assert bench.bus.problem_text == ""
@@ -218,26 +218,26 @@ def test_controller_states_and_the_cause_of_bus_off_are_noted(stub):
         ]
         assert bench.noted("link lost: virtual:x: bus off (no acknowledgement of a frame; check that another")
 
-    run("virtual:x", story)
+    run("virtual:x", scenario)
 
 
 def test_pcan_reports_bus_off_by_its_status(stub):
     made = stub()
 
-    async def story(bench):
+    async def scenario(bench):
         made[0].status = lambda: 0x10
         made[0].pending.append(can.Message(arbitration_id=4, is_error_frame=True, data=b"\0\x19\0\0"))
         await bench.until(
             lambda: bench.noted("link lost: pcan:USB: bus off (protocol violation (bit stuffing")
         )
 
-    run("pcan:USB", story)
+    run("pcan:USB", scenario)
 
 
 def test_failed_interface_is_reopened(stub):
     made = stub()
 
-    async def story(bench):
+    async def scenario(bench):
         made[0].gone = True
         await bench.until(lambda: bench.noted("link lost"))
         with pytest.raises(DeviceError, match="the bus is lost") as error:
@@ -247,11 +247,11 @@ def test_failed_interface_is_reopened(stub):
         made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
         await bench.until(lambda: bench.frames)
 
-    run("virtual:x", story)
+    run("virtual:x", scenario)
 
 
 def test_closed_server_is_detected_at_once_without_cpu_load(server):
-    async def story(bench):
+    async def scenario(bench):
         server.stop()
         await bench.until(lambda: bench.noted(": the server has closed the connection"))
         used = time.process_time()
@@ -266,7 +266,7 @@ def test_closed_server_is_detected_at_once_without_cpu_load(server):
         finally:
             again.stop()
 
-    run(server.endpoint, story)
+    run(server.endpoint, scenario)
 
 
 def test_malformed_socketcand_text_is_counted_and_the_rest_is_read(server):
@@ -275,7 +275,7 @@ def test_malformed_socketcand_text_is_counted_and_the_rest_is_read(server):
         b"< frame 001 0.0 F >", b"x >", b"<" * 1000,
     ]  # fmt: skip
 
-    async def story(bench):
+    async def scenario(bench):
         peer = server.peers[-1]
         for text in nonsense[:-1]:
             peer.sendall(text)
@@ -291,7 +291,7 @@ def test_malformed_socketcand_text_is_counted_and_the_rest_is_read(server):
         await bench.until(lambda: len(bench.frames) == 4)
         assert not bench.noted("link lost")
 
-    run(server.endpoint, story)
+    run(server.endpoint, scenario)
 
 
 @settings(deadline=None)
@@ -313,39 +313,39 @@ def test_socketcand_client_survives_any_bytes(pieces):
 
 
 def test_frames_are_sent_in_socketcand_syntax(server):
-    async def story(bench):
+    async def scenario(bench):
         peer = server.peers[-1]
         await bench.bus.send(Frame(0x12, bytes([1, 0xAB])))
         bench.bus.post(Frame(0x34, b"", extended=True))
         with pytest.raises(DeviceError, match="does not support CAN FD"):
             await bench.bus.send(Frame(1, bytes(16), fd=True))
-        wanted, got = b"< send 012 2 01 ab >< send 00000034 0  >", b""
-        while len(got) < len(wanted):
+        expected, got = b"< send 012 2 01 ab >< send 00000034 0  >", b""
+        while len(got) < len(expected):
             got += await asyncio.to_thread(peer.recv, 256)
-        assert got == wanted
+        assert got == expected
 
-    run(server.endpoint, story)
+    run(server.endpoint, scenario)
 
 
 def test_server_that_does_not_read_gives_a_full_send_queue(server):
-    async def story(bench):
+    async def scenario(bench):
         for _ in range(1_000_000):
             await bench.bus.send(Frame(1, bytes(8)))
 
     with pytest.raises(DeviceError, match="the send queue is full"):
-        run(server.endpoint, story)
+        run(server.endpoint, scenario)
 
 
 def test_answer_and_frame_in_one_segment_are_both_read():
     server = Server(after=b"< frame 005 1.2 00 >")
 
-    async def story(bench):
+    async def scenario(bench):
         await bench.until(lambda: bench.frames)
         assert bench.frames == [Frame(5, b"\0")]
         assert bench.bus.malformed == 0
 
     try:
-        run(server.endpoint, story)
+        run(server.endpoint, scenario)
     finally:
         server.stop()
 
@@ -357,12 +357,12 @@ def test_answer_and_frame_in_one_segment_are_both_read():
 def test_refusal_by_the_server_is_an_error(words, reason):
     server = Server(words=words)
 
-    async def story(bench):
+    async def scenario(bench):
         raise AssertionError("the device must not be opened")
 
     try:
         with pytest.raises(DeviceError, match=rf"cannot open socketcand:.*{reason}"):
-            run(server.endpoint, story)
+            run(server.endpoint, scenario)
     finally:
         server.stop()
 
@@ -373,12 +373,12 @@ def test_silent_server_is_an_error_within_its_time(monkeypatch):
     monkeypatch.setattr(socketcand, "ANSWER", 0.3)
     mute = Server(words=())
 
-    async def story(bench):
+    async def scenario(bench):
         raise AssertionError("the device must not be opened")
 
     try:
         with pytest.raises(DeviceError, match=r"cannot open socketcand:.*no greeting within 0.3 s"):
-            run(mute.endpoint, story)
+            run(mute.endpoint, scenario)
     finally:
         mute.stop()
 
@@ -434,11 +434,11 @@ def adapter():
 def test_serial_port_in_use_is_refused(adapter):
     _, path, _ = adapter
 
-    async def story(bench):
+    async def scenario(bench):
         with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
             await BusBench(f"slcan:{path}").bus.open()
 
-    run(f"slcan:{path}", story)
+    run(f"slcan:{path}", scenario)
     run(f"slcan:{path}", lambda bench: asyncio.sleep(0))
 
 
@@ -446,17 +446,17 @@ def test_adapter_that_never_ends_a_line_is_closed(adapter, monkeypatch):
     monkeypatch.setattr(connection, "LONGEST_LINE", 64)
     master, path, _ = adapter
 
-    async def story(bench):
+    async def scenario(bench):
         os.write(master, b"t" * 100)
         await bench.until(lambda: bench.noted(": the received data is not CAN frames"))
 
-    run(f"slcan:{path}", story)
+    run(f"slcan:{path}", scenario)
 
 
 def test_slcan_adapter_sends_receives_and_is_unplugged(adapter):
     master, path, slave = adapter
 
-    async def story(bench):
+    async def scenario(bench):
         os.write(master, b"\rz\rt1232AABB\rnonsense\rtXYZ\rT000001231FF\r")
         await bench.until(lambda: len(bench.frames) == 2)
         assert bench.frames == [Frame(0x123, b"\xaa\xbb"), Frame(0x123, b"\xff", extended=True)]
@@ -472,4 +472,4 @@ def test_slcan_adapter_sends_receives_and_is_unplugged(adapter):
         os.close(master)
         await bench.until(lambda: bench.noted("link lost"))
 
-    run(f"slcan:{path}", story)
+    run(f"slcan:{path}", scenario)

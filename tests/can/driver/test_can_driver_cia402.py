@@ -297,12 +297,12 @@ async def test_silent_drive_fails_the_motion_and_returns_stopped(b, axis, /):
 
 @on_bench("rig", opened=False)
 async def test_duplicate_node_id_is_detected_at_opening(b, axis, /):
-    said = b.drive.say
+    original_say = b.drive.say
 
     def twice(can_id, data):
-        said(can_id, data)
+        original_say(can_id, data)
         if can_id == 0x585:
-            said(can_id, data)
+            original_say(can_id, data)
 
     b.drive.network.say = twice
     with pytest.raises(DeviceError, match="two devices answer to this node id"):
@@ -356,7 +356,7 @@ async def test_absent_cia402_node_is_an_error_within_its_time(b, axis, /):
 
 @on_bench("rig", opened=False)
 async def test_malformed_sdo_answers_are_errors(b, axis, /):
-    said = b.drive.say
-    b.drive.network.say = lambda can_id, data: said(can_id, bytes(8) if can_id == 0x585 else data)
+    original_say = b.drive.say
+    b.drive.network.say = lambda can_id, data: original_say(can_id, bytes(8) if can_id == 0x585 else data)
     with pytest.raises(DeviceError, match="device type 0x1000:0"):
         await axis.open()

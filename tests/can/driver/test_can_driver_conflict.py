@@ -116,13 +116,13 @@ async def test_foreign_sdo_answers_do_not_disturb_the_set_up(b, axis, /, foreign
 
 @on_bench("rig", opened=False)
 async def test_one_surplus_answer_during_set_up_is_no_second_device(b, axis, /):
-    said = b.wire.say
+    original_say = b.wire.say
 
     def once_more(identifier, data):
-        said(identifier, data)
+        original_say(identifier, data)
         if identifier == 0x580 + NODE and data[1:3] == bytes([0x18, 0x10]):
-            b.wire.say = said
-            said(identifier, data[:4] + b"\1\2\3\4")
+            b.wire.say = original_say
+            original_say(identifier, data[:4] + b"\1\2\3\4")
 
     b.wire.say = once_more
     await axis.open()
@@ -185,14 +185,14 @@ def test_echoing_adapter_neither_hides_nor_invents_a_device(rig):
 @on_bench("rig", loss=0.25, given="seed", opened=False)
 async def test_lost_answers_do_not_hide_a_second_device(b, axis, /, seed):
     b.wire.join()
-    told = ""
+    reason = ""
     for _ in range(5):  # with so much loss a set-up may also fail by timeout
         with pytest.raises(DeviceError) as error:
             await axis.open()
-        told = error.value.reason
+        reason = error.value.reason
         if error.value.kind != "DeviceTimeoutException":
             break
-    assert re.search(TWO, told), told
+    assert re.search(TWO, reason), reason
 
 
 @on_bench("rig")
@@ -220,12 +220,12 @@ async def test_second_device_that_joins_stops_the_axis_in_motion(b, axis, /, boo
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [1.0])
     await asyncio.sleep(0.5)
-    first, said = b.wire.drives[0], b.wire.say
+    first, original_say = b.wire.drives[0], b.wire.say
     assert first.velocity > 0.0
     if not boots:
         b.wire.say = lambda identifier, data: None
     second = b.wire.join()
-    b.wire.say = said
+    b.wire.say = original_say
     await asyncio.sleep(2.5)
     assert any("two devices" in note for note in b.notes)
     assert first.velocity == second.velocity == 0.0
@@ -263,14 +263,14 @@ async def test_values_show_the_silence_when_the_exception_is_raised(b, axis, /):
 async def test_repeated_answers_do_not_stop_an_axis_in_motion(b, axis, /, every):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [1.0])
-    said, count = b.wire.say, [0]
+    original_say, count = b.wire.say, [0]
 
     def at_times_twice(identifier, data):
-        said(identifier, data)
+        original_say(identifier, data)
         if identifier == 0x580 + NODE and struct.unpack_from("<H", data, 1)[0] != 0x1018:
             count[0] += 1
             if count[0] % every == 0:
-                said(identifier, data)
+                original_say(identifier, data)
 
     b.wire.say = at_times_twice
     for _ in range(10):
@@ -291,8 +291,8 @@ async def test_drive_that_ignores_absent_objects_is_probed_at_set_up_only(b, axi
     await axis.open()
     before = len(b.bus.sent)
     await asyncio.sleep(5.0)
-    asked = [f for f in b.bus.sent[before:] if is_unanswered_probe(f) and f.data[0] != 0x80]
-    assert asked == []
+    requests = [f for f in b.bus.sent[before:] if is_unanswered_probe(f) and f.data[0] != 0x80]
+    assert requests == []
 
 
 @on_bench("rig")

@@ -126,13 +126,13 @@ def test_sdo_client_runs_on_the_loop_of_a_simulated_computer():
     simulated = ProcessLoop(SimulatedMachine("barn", timeline, random.Random(1)))
     results = []
 
-    async def story():
+    async def scenario():
         node = Node(None, 0.2)
         results.append(await node.client.read(*POSITION))
         results.append(round(timeline.now - start, 6))
 
     start = timeline.now
-    simulated.enter(lambda: results.append(simulated.create_task(story())))
+    simulated.enter(lambda: results.append(simulated.create_task(scenario())))
     timeline.run(5.0)
     assert results[1:] == [7, ANSWER + 0.2]
     simulated.close()

@@ -122,7 +122,7 @@ async def test_odrive_without_the_watchdog_waiver_is_refused(b, axis, /):
 async def test_odrive_limits_are_checked_before_a_frame_is_sent(b, axis, /):
     await axis.execute("enable", [])
     sent = len(b.bus.sent)
-    for call, words in (
+    for call, text in (
         (("moveTo", [5.0, 1.0]), "outside -1 to 4 rad"),
         (("moveTo", [math.nan, 1.0]), "finite"),
         (("moveTo", [1.0, 6.0]), "6 rad/s is above the limit of 5 rad/s"),
@@ -132,7 +132,7 @@ async def test_odrive_limits_are_checked_before_a_frame_is_sent(b, axis, /):
         (("setVelocity", [math.inf]), "finite"),
         (("setTorque", [2.1]), "above the limit of 2 N m"),
     ):
-        with pytest.raises(DeviceError, match=words):
+        with pytest.raises(DeviceError, match=text):
             await axis.execute(*call)
     assert len(b.bus.sent) == sent
     b.axis.position = 5.0 / math.tau

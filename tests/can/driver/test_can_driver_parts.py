@@ -189,7 +189,7 @@ def test_unit_conversion_of_a_drive_in_rpm():
 
 
 def test_periodic_task_ends_after_its_time_and_when_stopped():
-    async def story():
+    async def scenario():
         loop, done = asyncio.get_running_loop(), []
         repeating = PeriodicTask(LoopClock())
         start = loop.time()
@@ -202,7 +202,7 @@ def test_periodic_task_ends_after_its_time_and_when_stopped():
         await asyncio.sleep(1.0)
         assert len(done) == 5
 
-    run_jumping(story())
+    run_jumping(scenario())
 
 
 def test_every_protocol_of_the_manifest_is_implemented():

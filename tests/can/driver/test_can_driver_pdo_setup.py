@@ -24,11 +24,11 @@ class Records:
         self.refuses = refuses
         self.values = {(entry >> 16, 0): 0 for entry in t.NUMBERS}
         self.values |= {(int(name[1:], 16), 0): value for name, value in objects.items()}
-        for record, mapping, first, ours in (
+        for record, mapping, first, parameters in (
             (0x1800, 0x1A00, 0x180, t.TPDO.mappings),
             (0x1400, 0x1600, 0x200, t.RPDO.mappings),
         ):
-            for number, entries in enumerate(ours):
+            for number, entries in enumerate(parameters):
                 self.values |= {
                     (record + number, 1): first + 0x100 * number + NODE,
                     (record + number, 2): kind if record == 0x1800 else 255,

@@ -69,7 +69,7 @@ def test_objects_have_names(index, name):
 def test_one_sync_serves_all_nodes_that_require_it():
     sent: list[Frame] = []
 
-    async def story():
+    async def scenario():
         sync = Sync(LoopClock(), sent.append, 0.1)
         sync.require(5, 0x80)
         sync.require(6, 0x80)
@@ -83,7 +83,7 @@ def test_one_sync_serves_all_nodes_that_require_it():
         await asyncio.sleep(1.0)
         assert len(sent) == 20
 
-    run_jumping(story())
+    run_jumping(scenario())
 
 
 def test_velocity_is_decoded_as_signed():

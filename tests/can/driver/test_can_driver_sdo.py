@@ -106,15 +106,15 @@ class Line:
 def nonsense(request, noise):
     """A frame that is not an answer to a request, of one of several kinds."""
     way, kind, rest = noise
-    wanted = {0x20: 0x60, 0x40: 0x40, 0x60: 0x00}[request[0] & 0xE0]
-    if way == "of another kind" and kind not in (wanted, 0x80):
+    expected = {0x20: 0x60, 0x40: 0x40, 0x60: 0x00}[request[0] & 0xE0]
+    if way == "of another kind" and kind not in (expected, 0x80):
         return bytes([kind]) + request[1:4] + rest[:4]
-    if way == "with the wrong toggle" and wanted == 0x00:
+    if way == "with the wrong toggle" and expected == 0x00:
         return bytes([0x10 - (request[0] & 0x10)]) + b"\xff" * 7
     if way == "of another length":
-        return (bytes([wanted]) + request[1:])[: kind >> 5]
+        return (bytes([expected]) + request[1:])[: kind >> 5]
     # About an object that was not requested.
-    return bytes([wanted or 0x80]) + b"\xff\xff\xff" + rest[:4]
+    return bytes([expected or 0x80]) + b"\xff\xff\xff" + rest[:4]
 
 
 def endless(drawn):

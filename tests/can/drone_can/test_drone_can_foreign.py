@@ -32,8 +32,8 @@ def test_foreign_client_allocates_ids_reads_and_commands_simulated_nodes():
         f"dronecan:42,dynamic=yes,uid={UNIQUE_ID},functions=servo:0+esc:1",
         "dronecan:40,functions=battery:0",
     )
-    words = [word for device in devices for word in ("--device", device)]
-    with running_fake("can", "--listen", "slcan-pty", *words) as fake:
+    arguments = [argument for device in devices for argument in ("--device", device)]
+    with running_fake("can", "--listen", "slcan-pty", *arguments) as fake:
         port = fake.endpoint.removesuffix("@115200")
         node = dronecan.make_node(port, node_id=126, bitrate=1_000_000)
         monitor = dronecan.app.node_monitor.NodeMonitor(node)
@@ -140,7 +140,7 @@ def test_driver_moves_a_foreign_dronecan_servo(bench, binding, bus):
     bound = binding("DroneCanServo", options=options, waivers=["device_watchdog"], safe_state="rest")
     b = bench(bound, bus=bus, fakes=[servo.live])
 
-    async def story(device):
+    async def scenario(device):
         assert await device.open() == "DroneCAN node 42 org.example.servo, software 0.0"
         assert await device.serial() == f"uid {UNIQUE_ID}"
         assert b.values["position"] == pytest.approx(0.1, abs=1e-3)
@@ -158,7 +158,7 @@ def test_driver_moves_a_foreign_dronecan_servo(bench, binding, bus):
         assert len(servo.commands) == count
         assert device.moving() == ""
 
-    b.run_real(story, opened=False)
+    b.run_real(scenario, opened=False)
 
 
 def test_node_with_another_unique_id_is_refused(bench, binding, bus):

@@ -18,26 +18,26 @@ UNIQUE_ID = "00112233445566778899aabbccddeeff"
 @pytest.fixture
 def node(binding):
     def make(kind, *, waivers=("device_watchdog",), safe_state="hold", **options):
-        given = {"safe_state": safe_state, "waivers": list(waivers)} if kind == "DroneCanServo" else {}
+        settings = {"safe_state": safe_state, "waivers": list(waivers)} if kind == "DroneCanServo" else {}
         field = f"{kind[8:].lower()}{options['node']}_{options.get('index', 0)}"
-        return binding(kind, field=field, options=options, **given)
+        return binding(kind, field=field, options=options, **settings)
 
     return make
 
 
-def play(story, *bindings):
+def play(scenario, *bindings):
     desk = Desk()
     specs = {}
     for each in bindings:
         text = spec_of(each)
         specs[parse(text).id] = merged(specs.get(parse(text).id, text), text)
-    fake = desk.fake("can", *(word for text in specs.values() for word in ("--device", text)))
+    fake = desk.fake("can", *(argument for text in specs.values() for argument in ("--device", text)))
     made = [msgspec.structs.replace(each, endpoint=fake.endpoint) for each in bindings]
-    desk.run(lambda *devices: story(fake, *devices), *made)
+    desk.run(lambda *devices: scenario(fake, *devices), *made)
 
 
 def test_three_nodes_are_read_and_a_servo_moves(node):
-    async def story(fake, battery, esc, servo, second):
+    async def scenario(fake, battery, esc, servo, second):
         assert battery.query("voltage") == pytest.approx(16.8, abs=0.1)
         assert battery.query("state") == "in use"
         assert battery.query("charge") == pytest.approx(1.0, abs=0.01)
@@ -54,11 +54,11 @@ def test_three_nodes_are_read_and_a_servo_moves(node):
         await battery.reads("health", lambda text: text == "error")
 
     nodes = node("DroneCanBattery", node=40), node("DroneCanEsc", node=41)
-    play(story, *nodes, node("DroneCanServo", node=42), node("DroneCanServo", node=42, index=1))
+    play(scenario, *nodes, node("DroneCanServo", node=42), node("DroneCanServo", node=42, index=1))
 
 
 def test_expired_setpoint_stops_the_servo_where_it_is(node):
-    async def story(fake, servo):
+    async def scenario(fake, servo):
         for _ in range(3):
             await servo.call("setPosition", 1.5)
             await asyncio.sleep(0.1)
@@ -68,18 +68,18 @@ def test_expired_setpoint_stops_the_servo_where_it_is(node):
         await asyncio.sleep(2.0)
         assert servo.query("position") == pytest.approx(at, abs=0.02)
 
-    play(story, node("DroneCanServo", node=42))
+    play(scenario, node("DroneCanServo", node=42))
 
 
 def test_nodes_get_the_node_id_of_their_unique_id(node):
     """Two nodes without ids ask at the same time; each receives the id of the binding with its unique id."""
 
-    async def story(fake, servo, battery):
+    async def scenario(fake, servo, battery):
         await servo.call("moveTo", -0.4)
         assert servo.query("position") == pytest.approx(-0.4, abs=0.02)
         assert battery.query("charge") > 0.9
-        given = [note for note in servo.notes if "node id" in note]
-        assert any(f"node id 42 assigned to the unique id {UNIQUE_ID}" in note for note in given)
+        notes = [note for note in servo.notes if "node id" in note]
+        assert any(f"node id 42 assigned to the unique id {UNIQUE_ID}" in note for note in notes)
         fake.fault("silence@42=true")
         await servo.until_note("link lost")
         fake.fault("silence@42=false")
@@ -88,7 +88,7 @@ def test_nodes_get_the_node_id_of_their_unique_id(node):
 
     servo = node("DroneCanServo", node=42, unique_id=UNIQUE_ID)
     battery = node("DroneCanBattery", node=43, unique_id=UNIQUE_ID[::-1])
-    play(story, servo, battery)
+    play(scenario, servo, battery)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_nodes_get_the_node_id_of_their_unique_id(node):
     ],
 )
 def test_servo_fault_fails_its_motion(node, fault, words):
-    async def story(fake, servo):
+    async def scenario(fake, servo):
         fake.fault(fault)
         with pytest.raises(DeviceError, match=words):
             await servo.call("moveTo", 1.0)
@@ -109,7 +109,7 @@ def test_servo_fault_fails_its_motion(node, fault, words):
         await asyncio.sleep(2.0)
         assert servo.query("position") == pytest.approx(at, abs=0.02), "it does not go on"
 
-    play(story, node("DroneCanServo", node=42))
+    play(scenario, node("DroneCanServo", node=42))
 
 
 @pytest.mark.parametrize(
@@ -139,11 +139,11 @@ def test_conflicting_dronecan_bindings_are_refused(bench, node, bindings, words)
     ],
 )
 def test_absent_dronecan_node_is_an_error(node, options, words):
-    async def story(servo):
+    async def scenario(servo):
         raise AssertionError("the device must not be opened")
 
     desk = Desk()
     fake = desk.fake("can", "--device", "dronecan:42")
-    made = msgspec.structs.replace(node("DroneCanServo", connect=2.0, **options), endpoint=fake.endpoint)
+    changed = msgspec.structs.replace(node("DroneCanServo", connect=2.0, **options), endpoint=fake.endpoint)
     with pytest.raises(DevicesError, match=words):
-        desk.run(story, made)
+        desk.run(scenario, changed)

@@ -58,13 +58,13 @@ class ServoNode:
 
 @pytest.fixture
 def play(bench, binding, bus):
-    def run(story, *nodes):
+    def run(scenario, *nodes):
         bus.device = lambda frame: [node.on_frame(frame) for node in nodes]
         bound = binding(
             "DroneCanServo", options={"node": NODE}, waivers=["device_watchdog"], safe_state="hold"
         )
         b = bench(bound, bus=bus, fakes=[node.live for node in nodes])
-        b.run(lambda servo: story(b, servo))
+        b.run(lambda servo: scenario(b, servo))
 
     return run
 
@@ -73,32 +73,32 @@ def play(bench, binding, bus):
 def test_two_nodes_with_one_id(play, bus, apart):
     """The conflict is also detected if both were switched on together, with equal uptimes."""
 
-    async def story(b, servo):
+    async def scenario(b, servo):
         await asyncio.sleep(5.0)
         with pytest.raises(DeviceError, match="moveTo refused: two nodes have id 42"):
             await servo.execute("moveTo", [0.5])
 
-    play(story, ServoNode(bus), ServoNode(bus, apart))
+    play(scenario, ServoNode(bus), ServoNode(bus, apart))
 
 
 def test_one_node_that_restarts_is_not_two(play, bus):
     node = ServoNode(bus, 100.0)
 
-    async def story(b, servo):
+    async def scenario(b, servo):
         await asyncio.sleep(5.0)
         node.time = 0.0
         await asyncio.sleep(2.0)
         assert [note for note in b.notes if note.code == "can-node-restarted"] != []
         await servo.execute("moveTo", [0.5])
 
-    play(story, node)
+    play(scenario, node)
 
 
 def test_an_outdated_position_is_not_held(play, bus):
     """The statuses are lost, the commands arrive: the servo would return to its last reported position."""
     node = ServoNode(bus)
 
-    async def story(b, servo):
+    async def scenario(b, servo):
         motion = asyncio.ensure_future(servo.execute("moveTo", [1.5]))
         await asyncio.sleep(0.4)
         node.is_mute = True
@@ -113,4 +113,4 @@ def test_an_outdated_position_is_not_held(play, bus):
         await asyncio.sleep(1.0)
         assert node.commands > count, "it holds again"
 
-    play(story, node)
+    play(scenario, node)

@@ -153,5 +153,5 @@ def test_data_types_equal_those_of_canopen(tmp_path):
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     path = tmp_path / "drive.eds"
     path.write_text(PLAIN, encoding="utf-8")
-    theirs = canopen.import_od(str(path), 5)
-    assert {key: theirs.get_variable(*key).data_type for key in PLAIN_TYPES} == types(PLAIN)[0]
+    reference = canopen.import_od(str(path), 5)
+    assert {key: reference.get_variable(*key).data_type for key in PLAIN_TYPES} == types(PLAIN)[0]

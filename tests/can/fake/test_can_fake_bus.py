@@ -94,9 +94,9 @@ def test_loss_of_one_device_spares_the_others():
     bench = Bench("cia402:5", "cia402:6")
     bench.wait(1.0)
     bench.fault("loss@5=1")
-    heard = identifiers(bench.wait(1.0))
-    assert heard.count(0x705) == 0
-    assert heard.count(0x706) == 5
+    received = identifiers(bench.wait(1.0))
+    assert received.count(0x705) == 0
+    assert received.count(0x706) == 5
 
 
 def test_corrupted_frame_gives_an_error_frame_and_is_resent():
@@ -131,8 +131,8 @@ def test_bus_off_carries_no_frames_and_is_reported_once():
     bench = Bench("cia402:5")
     bench.wait(0.5)
     bench.fault("bus_off=true")
-    heard = bench.wait(1.0)
-    assert [(f.identifier, f.error) for f in heard] == [(ERROR_BUS_OFF, True)]
+    received = bench.wait(1.0)
+    assert [(f.identifier, f.error) for f in received] == [(ERROR_BUS_OFF, True)]
     bench.fault("bus_off=false")
     assert 0x705 in identifiers(bench.wait(0.5))
 

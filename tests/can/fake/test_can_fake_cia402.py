@@ -101,9 +101,9 @@ def test_state_machine_follows_the_control_word(bench):
         (0x06, 0x21),
         (0x02, 0x40),
     ]
-    for word, wanted in walk:
+    for word, expected in walk:
         bench.write(0x6040, word)
-        assert state(bench) == wanted, f"after controlword {word:#x}"
+        assert state(bench) == expected, f"after controlword {word:#x}"
 
 
 def test_tpdos_are_sent_by_timer_and_on_change(bench):

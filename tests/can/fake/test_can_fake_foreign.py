@@ -56,9 +56,9 @@ def dictionary() -> objectdictionary.ObjectDictionary:
 @pytest.fixture(params=["socketcand", "slcan"])
 def node(request) -> Iterator[BaseNode402]:
     """The drive, operational, through each endpoint."""
-    doors = {"socketcand": ("socketcand:127.0.0.1:0", tcp), "slcan": ("slcan-pty", serial)}
-    door, place = doors[request.param]
-    with running_fake("can", "--listen", door, "--device", "cia402:5,load=0.2,brake=yes") as fake:
+    addresses = {"socketcand": ("socketcand:127.0.0.1:0", tcp), "slcan": ("slcan-pty", serial)}
+    address, place = addresses[request.param]
+    with running_fake("can", "--listen", address, "--device", "cia402:5,load=0.2,brake=yes") as fake:
         network = canopen.Network()
         network.bus = opened(place(fake.endpoint))
         network.connect()

@@ -79,8 +79,8 @@ def test_any_frames_into_every_device(script):
     for frame, pause in script:
         bench.world.bus.send(bench.port, frame, bench.now)
         bench.wait(pause)
-    heard = bench.wait(0.1)
-    assert len(heard) < 500
+    received = bench.wait(0.1)
+    assert len(received) < 500
     drive, axis, _ = bench.devices
     assert all(math.isfinite(value) for value in (drive.axis.drive.position, axis.axis.position))
     for frame in bench.received:

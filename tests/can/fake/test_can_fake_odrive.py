@@ -50,8 +50,8 @@ def bench() -> OdriveBench:
 
 
 def test_periodic_messages_and_their_rates(bench):
-    heard = [frame.identifier for frame in bench.wait(1.0)]
-    counts = {number: heard.count(3 << 5 | number) for number in (0x01, 0x09, 0x03, 0x14, 0x15, 0x17)}
+    received = [frame.identifier for frame in bench.wait(1.0)]
+    counts = {number: received.count(3 << 5 | number) for number in (0x01, 0x09, 0x03, 0x14, 0x15, 0x17)}
     assert counts == pytest.approx({0x01: 10, 0x09: 100, 0x03: 10, 0x14: 10, 0x15: 2, 0x17: 2}, abs=1)
     assert bench.beat == (0, AxisState.IDLE, ProcedureResult.SUCCESS, 1)
 

@@ -88,9 +88,9 @@ def test_clients_come_and_go_beside_one_that_does_not_read():
         mute = client(fake.ready_line[0])
         for _ in range(5):
             with client(fake.ready_line[0]) as bus:
-                said = b""
-                while b"< frame 061" not in said:
-                    said += bus.recv(4096)
+                output = b""
+                while b"< frame 061" not in output:
+                    output += bus.recv(4096)
         mute.close()
 
 
@@ -137,8 +137,8 @@ def unplugged(place: dict[str, object]) -> bool:
 
 def test_unplugged_endpoints_close_and_return(tmp_path):
     link = tmp_path / "dongle"
-    doors = ("--listen", f"slcan-pty:{link}", "--listen", "socketcand:127.0.0.1:0")
-    with running_fake("can", *doors, "--device", "odrive:3") as fake:
+    arguments = ("--listen", f"slcan-pty:{link}", "--listen", "socketcand:127.0.0.1:0")
+    with running_fake("can", *arguments, "--device", "odrive:3") as fake:
         assert fake.ready_line[0] == f"slcan:{link}@115200"
         bus = opened(serial(fake.ready_line[0]))
         heard(bus, 0x61)
@@ -157,10 +157,10 @@ def test_unplugged_endpoints_close_and_return(tmp_path):
 
 
 def test_link_never_replaces_a_file(tmp_path, capsys):
-    taken = tmp_path / "file"
-    taken.write_text("kept")
-    assert main(["lfield_sim.can:SIM", "--listen", f"slcan-pty:{taken}"]) == 69
-    assert taken.read_text() == "kept"
+    existing = tmp_path / "file"
+    existing.write_text("kept")
+    assert main(["lfield_sim.can:SIM", "--listen", f"slcan-pty:{existing}"]) == 69
+    assert existing.read_text() == "kept"
     assert "exists" in capsys.readouterr().err
 
 
@@ -197,8 +197,8 @@ def test_invalid_command_line_is_an_error_without_traceback(options, status, wor
 
 
 def test_port_in_use_is_an_error(capsys):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as occupied:
+        port = occupied.getsockname()[1]
         assert main(["lfield_sim.can:SIM", "--listen", f"socketcand:127.0.0.1:{port}"]) == 69
     assert "in use" in capsys.readouterr().err
 

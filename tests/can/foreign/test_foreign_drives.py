@@ -41,9 +41,9 @@ def bus():
 @pytest.fixture
 def bound(binding):
     def make(endpoint, field="axis", **changes):
-        given = {"limits": {"speed": 5.0}, "ttl": TTL, **changes}
-        options = {**OPTIONS, **given.pop("options", {})}
-        return binding("CanAxis", field=field, endpoint=endpoint, options=options, **given)
+        settings = {"limits": {"speed": 5.0}, "ttl": TTL, **changes}
+        options = {**OPTIONS, **settings.pop("options", {})}
+        return binding("CanAxis", field=field, endpoint=endpoint, options=options, **settings)
 
     return make
 

@@ -194,8 +194,8 @@ def test_worked_example_equals_the_ranking(tmp_path: Path) -> None:
     path.write_text(EXAMPLE, encoding="utf-8")
     offers = Matcher(read_registry([path]), example_team()).offers("Lift")
     assert [offer.kind for offer in offers] == ["direct", "equivalent", "composed"]
-    given = [(round(offer.cost, 3), round(offer.score, 3)) for offer in offers]
-    assert given == list(figures())
+    ratings = [(round(offer.cost, 3), round(offer.score, 3)) for offer in offers]
+    assert ratings == list(figures())
 
 
 def test_types_without_an_agent_in_the_team_do_not_change_scores(tmp_path: Path) -> None:

@@ -48,13 +48,13 @@ def test_mapped_portals_exist_with_fitting_types(name: str) -> None:
     for served in REGISTRY.providers[name].serves.values():
         for canonical in REGISTRY.primitives[served.primitive].portals.values():
             call = served.portals[canonical.name]
-            given = [argument_type(argument, canonical) for argument in call.arguments]
+            arguments = [argument_type(argument, canonical) for argument in call.arguments]
             fitting = [
                 result
                 for types, result in portals.get(call.target, [])
-                if len(types) == len(given) and all(map(fits, given, types))
+                if len(types) == len(arguments) and all(map(fits, arguments, types))
             ]
-            assert fitting, f"{name}.{call.target}({', '.join(given)}) for {served.primitive}"
+            assert fitting, f"{name}.{call.target}({', '.join(arguments)}) for {served.primitive}"
             if call.result is None:
                 assert canonical.result in ("void", *fitting), f"{name}.{call.target} for {served.primitive}"
 

@@ -123,13 +123,13 @@ def test_only_significant_changes_are_reported(seats):
         bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(value)}))
         assert (bravo.directory.next_delta() is not None) == is_reported, value
     bravo.directory.set_own("arm2", AgentCondition(samples={"steps": bravo.sample(1)}))
-    news = bravo.directory.next_delta()
-    assert list(news.agents) == ["arm2"]
+    delta = bravo.directory.next_delta()
+    assert list(delta.agents) == ["arm2"]
     bravo.directory.set_own(
         "arm2", AgentCondition(samples={"steps": bravo.sample(2), "mode": bravo.sample("hold")})
     )
-    news = bravo.directory.next_delta()
-    assert {name: s.value for name, s in news.agents["arm2"].samples.items()} == {"steps": 2, "mode": "hold"}
+    delta = bravo.directory.next_delta()
+    assert {name: s.value for name, s in delta.agents["arm2"].samples.items()} == {"steps": 2, "mode": "hold"}
     assert bravo.directory.next_delta() is None
 
 
@@ -219,12 +219,12 @@ def test_restarted_host_starts_without_values(seats):
 
 def test_delta_after_a_gap_waits_for_a_full_delta(seats):
     alpha, bravo = seats
-    news = []
+    delta = []
     for value in (0.9, 0.8, 0.7):
         bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(value)}))
-        news.append(bravo.directory.next_delta())
-    deliver(bravo, alpha, news[0])
-    deliver(bravo, alpha, news[2])
+        delta.append(bravo.directory.next_delta())
+    deliver(bravo, alpha, delta[0])
+    deliver(bravo, alpha, delta[2])
     assert alpha.candidate("rover1").facts["battery"].value == 0.9
     alpha.clock.advance(3.0)
     alpha.receive("bravo")

@@ -168,8 +168,8 @@ class Exchange(RuleBasedStateMachine):
                 assert abs(fact.value - sample.value) <= 0.005
             else:
                 assert fact.value == sample.value
-            kept = REGISTRY.attributes[name].max_age / 2
-            assert abs(fact.age - (sample.at - sample.when)) <= max(kept, 1.0) + 1e-6
+            half_age = REGISTRY.attributes[name].max_age / 2
+            assert abs(fact.age - (sample.at - sample.when)) <= max(half_age, 1.0) + 1e-6
 
     def same_trouble(self, refusal, trouble):
         if trouble is None or trouble.since is None:

@@ -64,10 +64,10 @@ def through_the_wire(report):
 def test_any_report_is_refused_or_fits_the_registry(report):
     reports = DirectoryCodec(REGISTRY, AGENTS)
     try:
-        news = reports.decode("bravo", through_the_wire(report), 1000.0)
+        changes = reports.decode("bravo", through_the_wire(report), 1000.0)
     except WireError:
         return
-    for agent, condition in news.agents.items():
+    for agent, condition in changes.agents.items():
         deployed = next(a for a in AGENTS if a.id == agent)
         assert deployed.host == "bravo"
         for name, sample in condition.samples.items():
@@ -87,13 +87,13 @@ def test_times_become_ages_and_times_again(age, later, kept):
     )
     reports = DirectoryCodec(REGISTRY, AGENTS)
     report = through_the_wire(reports.encode(DirectoryDelta(7, 3, 4, {"arm2": change}), 1000.0 + later))
-    news = reports.decode("bravo", report, 50.0)
-    assert (news.incarnation, news.since, news.sequence) == (7, 3, 4)
-    found = news.agents["arm2"]
+    changes = reports.decode("bravo", report, 50.0)
+    assert (changes.incarnation, changes.since, changes.sequence) == (7, 3, 4)
+    found = changes.agents["arm2"]
     assert found.unavailability == Unavailability("fc: no message", pytest.approx(50.0 - max(0.0, later)))
     assert found.reserved == ReservedBy("pilot", pytest.approx(50.0 - max(0.0, 10.0 + later)))
-    wanted = age if kept else max(0.0, age + later)
+    expected = age if kept else max(0.0, age + later)
     assert found.samples["battery"] == AttributeSample(
-        0.5, pytest.approx(50.0 - wanted, abs=1e-9), 50.0, kept
+        0.5, pytest.approx(50.0 - expected, abs=1e-9), 50.0, kept
     )
     assert len(found.unknown["mode"]) == 256

@@ -55,14 +55,14 @@ def constraint_of(text: str) -> Expression:
 
 
 def over_parts(
-    text: str, needs: Iterable[str], wanted: Expectation = "any", whole: Iterable[str] = ()
+    text: str, needs: Iterable[str], expected: Expectation = "any", whole: Iterable[str] = ()
 ) -> Expression:
     """An expression in the rule of a composition."""
     expression, mistakes = parse_expression(text)
     assert expression is not None, mistakes
     assert not (
         found := check_expression(
-            expression, NameScope.of_parts(ATTRIBUTES, list(needs), list(whole)), wanted
+            expression, NameScope.of_parts(ATTRIBUTES, list(needs), list(whole)), expected
         )
     ), found
     return expression
@@ -93,8 +93,8 @@ def composition(
 ) -> Composition:
     """A one-to-many rule; a need is a primitive, or one with its condition."""
     made = {}
-    for need, wanted in needs.items():
-        primitive, when = (wanted, "") if isinstance(wanted, str) else wanted
+    for need, requirement in needs.items():
+        primitive, when = (requirement, "") if isinstance(requirement, str) else requirement
         made[need] = Need(need, primitive, NOWHERE, when=constraint_of(when) if when else None)
     return Composition(
         name,

@@ -69,8 +69,8 @@ def answers(tmp_path: Path) -> MatchResults:
 
 
 def test_offer_reports_the_number_of_offers(answers: MatchResults) -> None:
-    who = answers.find_offers("Lift", None)
-    assert (len(who), who[0].found, who[0].note) == (32, MANY, "the best 32 of 50 offers are given")
+    offers = answers.find_offers("Lift", None)
+    assert (len(offers), offers[0].found, offers[0].note) == (32, MANY, "the best 32 of 50 offers are given")
     every = answers.find_offers("Lift", "limit 100")
     assert (len(every), every[0].found, every[0].note) == (MANY, MANY, "")
     assert answers.explain_others("Lift", None) == "the best 32 of 50 offers are given"
@@ -93,9 +93,9 @@ def test_team_search_over_limited_combinations_is_reported_as_incomplete(
 ) -> None:
     # c0 is in all offered combinations; c1 and c2 could form another pair.
     assert {one.agent.partition("+")[0] for one in answers.find_offers("Carry", None)} == {"c0"}
-    why = "no team of 2 was found for Carry, but .*any-pair: only the best combinations can be in a team"
+    reason = "no team of 2 was found for Carry, but .*any-pair: only the best combinations can be in a team"
     for question in (None, "limit 5", "order by payload"):
-        with pytest.raises(SearchIncomplete, match=why):
+        with pytest.raises(SearchIncomplete, match=reason):
             answers.find_teams("Carry", question, 2)
     assert answers.find_teams("Carry", None, 51) == []
 

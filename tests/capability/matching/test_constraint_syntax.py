@@ -106,9 +106,9 @@ def test_long_chain_is_not_deep_nesting(sign: str) -> None:
 
 
 def test_all_errors_are_reported_at_once() -> None:
-    with pytest.raises(ConstraintError) as caught:
+    with pytest.raises(ConstraintError) as error:
         constraint_of("paylod > 1 && reach == aerial && environment == areal")
-    assert caught.value.problems == (
+    assert error.value.problems == (
         "there is no attribute 'paylod' (did you mean 'payload'?)",
         "there is no attribute 'aerial' (text is in double quotes)",
         "'environment' is never 'areal' (did you mean 'aerial'?)",
@@ -169,9 +169,9 @@ def test_expression_is_checked_for_its_expected_type(text: str, wanted: str, mes
 
 
 def test_text_in_an_error_is_truncated() -> None:
-    with pytest.raises(ConstraintError) as caught:
+    with pytest.raises(ConstraintError) as error:
         constraint_of("x" * MAX_LENGTH)
-    assert len(caught.value.text) == 80
+    assert len(error.value.text) == 80
 
 
 _WORDS = [

@@ -160,10 +160,10 @@ def test_logic_is_three_valued_after_kleene(condition: Any, facts: dict[str, Val
     expression = constraint_of(_text(condition))
     expected = _kleene(condition, facts)
     assert evaluator(expression)(facts) is expected
-    told = failure_reasons(expression, facts, lambda name: f"{name} is not stated")
+    reasons = failure_reasons(expression, facts, lambda name: f"{name} is not stated")
     failing = [c for c in conjuncts(expression) if evaluator(c)(facts) is not True]
-    assert len(told) == len(failing)
-    assert bool(told) is (expected is not True)
+    assert len(reasons) == len(failing)
+    assert bool(reasons) is (expected is not True)
 
 
 def _text(condition: Any) -> str:

@@ -135,14 +135,14 @@ def test_agents_that_never_serve_do_not_count() -> None:
     """Attributes of agents of other types, or of types without an agent, do not count either."""
     gripping = provider("Quiet", ["Lift"], when="power == cable", noise=1.0)
     other = provider("Nobody", ["Lift"], reach=1.0)
-    made = registry(CRANE, gripping, other, provider("Elsewhere", ["Climb"], noise=3.0))
+    full_registry = registry(CRANE, gripping, other, provider("Elsewhere", ["Climb"], noise=3.0))
     crane = candidate("x", "Crane", hops=0)
     for team in ([crane], [crane, candidate("q", "Quiet")], [crane, candidate("e", "Elsewhere", reach=2.0)]):
-        assert costs(made, *team)["x"] == pytest.approx(0.25)
+        assert costs(full_registry, *team)["x"] == pytest.approx(0.25)
     quiet = candidate("q", "Quiet", power="cable")
-    assert costs(made, crane, quiet)["x"] == pytest.approx((0.25 + 0.5) / 2)
+    assert costs(full_registry, crane, quiet)["x"] == pytest.approx((0.25 + 0.5) / 2)
     lost = candidate("q", "Quiet", power="cable", refusal="unreachable for 12 s")
-    assert costs(made, crane, lost)["x"] == pytest.approx((0.25 + 0.5) / 2)
+    assert costs(full_registry, crane, lost)["x"] == pytest.approx((0.25 + 0.5) / 2)
 
 
 def test_terms_of_a_cost_add_up_to_the_cost() -> None:
@@ -159,8 +159,8 @@ def test_terms_of_a_cost_add_up_to_the_cost() -> None:
             check(part)
 
     check(offer)
-    (whole,) = offer.parts.values()
-    grip = whole.parts["of_both_a"]
+    (cost,) = offer.parts.values()
+    grip = cost.parts["of_both_a"]
     assert [term.name for term in grip.terms] == ["fitness", "hop", "near", "age"]
     assert grip.terms[0].amount == pytest.approx(sum(p.share * p.penalty for p in grip.penalties))
     assert grip.terms[2].amount == pytest.approx(5 / 55)
@@ -172,16 +172,18 @@ def test_order_of_the_registry_does_not_matter() -> None:
         *(equivalence(f"e{i}", "Lift", "Climb", loss=0.1) for i in range(3)),
         composition("c", "Lift", {"a": "Grip", "b": "Climb"}, payload="a.payload + b.payload"),
     ]
-    made = registry(*types, *rules)
+    full_registry = registry(*types, *rules)
     crew = Crew(*[candidate(f"x{i}{j}", f"T{i}", reach=0.3 * j) for i in range(4) for j in range(3)])
-    expected = Matcher(made, crew).offers("Lift", constraint_of("payload >= 0.1"))
-    refused = Matcher(made, crew).explain("Lift", constraint_of("payload >= 0.1"))
+    expected = Matcher(full_registry, crew).offers("Lift", constraint_of("payload >= 0.1"))
+    refused = Matcher(full_registry, crew).explain("Lift", constraint_of("payload >= 0.1"))
     shuffle = random.Random(1)
     for _ in range(5):
         mixed = replace(
-            made,
+            full_registry,
             **{
-                section: dict(shuffle.sample(entries := list(getattr(made, section).items()), len(entries)))
+                section: dict(
+                    shuffle.sample(entries := list(getattr(full_registry, section).items()), len(entries))
+                )
                 for section in ("attributes", "primitives", "providers", "equivalences", "compositions")
             },
         )

@@ -26,9 +26,9 @@ def agents_for(matcher: Matcher, question: str = "") -> list[str]:
 
 def test_parts_in_the_same_slot_are_found() -> None:
     matcher = forks_and_carts(composition("pair", "Haul", PAIR, ["fork.note == cart.note"]))
-    who = agents_for(matcher)
-    assert len(who) == 16
-    assert set(who) <= {f"f{i}+c{MANY - 1 - i}" for i in range(MANY)}
+    agents = agents_for(matcher)
+    assert len(agents) == 16
+    assert set(agents) <= {f"f{i}+c{MANY - 1 - i}" for i in range(MANY)}
     assert matcher.find("Haul").notes == ["pair: only the best 16 combinations are offered"]
 
 
@@ -101,9 +101,9 @@ def test_distinct_parts_are_found_among_equal_agents() -> None:
 
 def test_one_alternative_is_found_when_the_other_cannot_be_indexed() -> None:
     rule = composition("pair", "Haul", PAIR, ["fork.note == cart.note || distance(fork, cart) <= fork.reach"])
-    who = agents_for(forks_and_carts(rule, 100))
-    assert len(who) == 16
-    assert set(who) <= {f"f{99 - i}+c{i}" for i in range(100)}
+    agents = agents_for(forks_and_carts(rule, 100))
+    assert len(agents) == 16
+    assert set(agents) <= {f"f{99 - i}+c{i}" for i in range(100)}
 
 
 def test_rule_may_need_the_primitive_that_it_serves() -> None:

@@ -156,10 +156,10 @@ def test_rules_are_chained_up_to_the_limit() -> None:
 def test_composition_counts_as_one_rule_of_the_depth() -> None:
     one = composition("one", "Lift", {"a": "Climb"})
     two = composition("two", "Climb", {"a": "Step"})
-    made = registry(provider("Stepper", ["Step"]), one, two, equivalence("top", "Top", "Lift"))
+    full_registry = registry(provider("Stepper", ["Step"]), one, two, equivalence("top", "Top", "Lift"))
     crew = Crew(candidate("s", "Stepper"))
     for depth, found in ((2, []), (3, ["as_top s"])):
-        assert brief(Matcher(made, crew, limits=SearchLimits(depth=depth)).offers("Top")) == found
+        assert brief(Matcher(full_registry, crew, limits=SearchLimits(depth=depth)).offers("Top")) == found
 
 
 def test_part_may_be_composed_itself() -> None:

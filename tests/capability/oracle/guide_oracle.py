@@ -101,8 +101,8 @@ def _distance(arguments: Sequence[Tree], facts: Facts) -> float | None:
         (_, one), (_, other) = arguments
         pairs = [(facts.get(f"{one}.{axis}"), facts.get(f"{other}.{axis}")) for axis in AXES]
     else:
-        wanted = [value_of(argument, facts) for argument in arguments]
-        pairs = [(facts.get(axis), value) for axis, value in zip(AXES, wanted, strict=False)]
+        expected = [value_of(argument, facts) for argument in arguments]
+        pairs = [(facts.get(axis), value) for axis, value in zip(AXES, expected, strict=False)]
     if any(None in pair for pair in pairs):
         return None
     return math.sqrt(sum((a - b) ** 2 for a, b in pairs))
@@ -227,16 +227,16 @@ class Oracle:
                 yield Way(name, cost, facts, frozenset([name]), (), (number,))
         if depth == 0:
             return
-        for rule, said in self.world.one_to_one.items():
-            if said["serves"] == primitive and said["by"] not in passed | {primitive}:
-                for way in self.ways(said["by"], depth - 1, passed | {primitive}, around):
-                    if said.get("when") is None or value_of(said["when"], way.facts) is True:
-                        cost = round(way.cost + self.weights["loss"] * said["loss"], 9)
+        for rule, rule_data in self.world.one_to_one.items():
+            if rule_data["serves"] == primitive and rule_data["by"] not in passed | {primitive}:
+                for way in self.ways(rule_data["by"], depth - 1, passed | {primitive}, around):
+                    if rule_data.get("when") is None or value_of(rule_data["when"], way.facts) is True:
+                        cost = round(way.cost + self.weights["loss"] * rule_data["loss"], 9)
                         tree = f"{rule}({way.tree})"
                         yield Way(tree, cost, way.facts, way.agents, (rule, *way.rules), way.end)
-        for rule, said in self.world.one_to_many.items():
-            if said["serves"] == primitive and rule not in around:
-                yield from self._wholes(rule, said, depth - 1, around | {rule})
+        for rule, rule_data in self.world.one_to_many.items():
+            if rule_data["serves"] == primitive and rule not in around:
+                yield from self._wholes(rule, rule_data, depth - 1, around | {rule})
 
     def _wholes(
         self, rule: str, said: Mapping[str, Any], depth: int, around: frozenset[str]
@@ -248,9 +248,9 @@ class Oracle:
                 [w for w in found if need["when"] is None or value_of(need["when"], w.facts) is True]
             )
         for parts in product(*choices):
-            whole = self._whole(rule, said, dict(zip(said["needs"], parts, strict=True)))
-            if whole is not None:
-                yield whole
+            composed = self._whole(rule, said, dict(zip(said["needs"], parts, strict=True)))
+            if composed is not None:
+                yield composed
 
     def _whole(self, rule: str, said: Mapping[str, Any], parts: Mapping[str, Way]) -> Way | None:
         distinct = list(parts) if said.get("distinct") is True else said.get("distinct") or []
@@ -276,17 +276,17 @@ class Oracle:
 
     def all_ways(self) -> list[Way]:
         """All offers, best first, without the limit."""
-        wanted = self.asked.condition
+        condition = self.asked.condition
         found = self.ways(self.asked.primitive)
         ways = sorted(
-            (w for w in found if wanted is None or value_of(wanted, w.facts) is True), key=self._place
+            (w for w in found if condition is None or value_of(condition, w.facts) is True), key=self._place
         )
-        best, given = [], dict.fromkeys(self.world.one_to_many, 0)
+        best, rule_counts = [], dict.fromkeys(self.world.one_to_many, 0)
         for way in ways:
-            whole = way.rules[-1] if way.rules and way.rules[-1] in given else None
-            if whole is not None:
-                given[whole] += 1
-            if whole is None or given[whole] <= PER_RULE:
+            composition = way.rules[-1] if way.rules and way.rules[-1] in rule_counts else None
+            if composition is not None:
+                rule_counts[composition] += 1
+            if composition is None or rule_counts[composition] <= PER_RULE:
                 best.append(way)
         return best
 

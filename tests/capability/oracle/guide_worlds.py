@@ -62,13 +62,13 @@ class Asked:
     @property
     def text(self) -> str:
         """The query as text."""
-        said = [] if self.condition is None else [written(self.condition)]
+        parts = [] if self.condition is None else [written(self.condition)]
         if self.order:
             keys = (f"{written(tree)}{' desc' if descending else ''}" for tree, descending in self.order)
-            said.append(f"order by {', '.join(keys)}")
+            parts.append(f"order by {', '.join(keys)}")
         if self.limit is not None:
-            said.append(f"limit {self.limit}")
-        return " ".join(said)
+            parts.append(f"limit {self.limit}")
+        return " ".join(parts)
 
 
 def written(tree: Tree) -> str:

@@ -33,26 +33,26 @@ def document(made: World) -> dict[str, Any]:
     """The world in the form of a registry file."""
     portals = {"go": {}}
     providers = {}
-    for type, said in made.providers.items():
+    for type, fields in made.providers.items():
         served = {
             primitive: {k: written(v) if k == "when" else v for k, v in how.items()}
-            for primitive, how in said["serves"].items()
+            for primitive, how in fields["serves"].items()
         }
-        live = {attribute: f"d.{attribute}" for attribute in said["live"]}
-        providers[type] = {"attributes": said["attributes"], "live": live, "serves": served}
+        live = {attribute: f"d.{attribute}" for attribute in fields["live"]}
+        providers[type] = {"attributes": fields["attributes"], "live": live, "serves": served}
     rules: dict[str, Any] = {}
-    for name, said in made.one_to_one.items():
-        rules[name] = {k: written(v) if k == "when" else v for k, v in said.items()}
-    for name, said in made.one_to_many.items():
+    for name, fields in made.one_to_one.items():
+        rules[name] = {k: written(v) if k == "when" else v for k, v in fields.items()}
+    for name, fields in made.one_to_many.items():
         needs = {
             part: need["capability"]
             if need["when"] is None
             else {"capability": need["capability"], "when": written(need["when"])}
-            for part, need in said["needs"].items()
+            for part, need in fields["needs"].items()
         }
-        worth = {attribute: written(tree) for attribute, tree in said["attributes"].items()}
-        where = [written(tree) for tree in said["where"]]
-        rules[name] = {**said, "needs": needs, "attributes": worth, "where": where}
+        worth = {attribute: written(tree) for attribute, tree in fields["attributes"].items()}
+        where = [written(tree) for tree in fields["where"]]
+        rules[name] = {**fields, "needs": needs, "attributes": worth, "where": where}
         rules[name] |= {"through": "Together", "source": "together.L"}
     return {
         "registry": 1,
@@ -116,8 +116,8 @@ def shown(ways: list[Way]) -> list[tuple[str, Any]]:
 def test_search_equals_the_guide(seed: int, tmp_path: Path) -> None:
     made, registry, rng = drawn(seed, tmp_path)
     for _ in range(QUESTIONS):
-        asked = question(made, rng)
-        compare(made, registry, asked)
+        drawn_question = question(made, rng)
+        compare(made, registry, drawn_question)
 
 
 def compare(made: World, registry: Registry, asked: Asked) -> None:

@@ -22,9 +22,9 @@ def codes(tmp_path: Path, content: str | bytes) -> list[str]:
     """The codes of the findings in a file, in order, without an exception and within the time limit."""
     path = tmp_path / "hostile.yaml"
     path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
-    began = time.process_time()
+    started = time.process_time()
     registry, found = check_files([BASE, path])
-    assert time.process_time() - began < MAX_CPU_SECONDS
+    assert time.process_time() - started < MAX_CPU_SECONDS
     for diagnostic in found:
         assert diagnostic.render()
     assert (registry is None) == any(d.severity == "error" for d in found)

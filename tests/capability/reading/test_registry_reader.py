@@ -188,15 +188,15 @@ ranking:
 
 def test_mission_replaces_a_rule(write) -> None:
     rule = "{serves: Lift, by: Climb, portals: {lift: {portal: climb, emit: {parameter: height}}}, loss: %s}"
-    ours = write(f"registry: 1\nequivalences:\n  up: {rule % 0.1}\n")
+    path = write(f"registry: 1\nequivalences:\n  up: {rule % 0.1}\n")
     source = GOLDEN / "L" / "grip_and_climb.L"
     mission = write(
         "registry: 1\nequivalences:\n  up:\n    serves: Lift\n    needs: {a: {capability: Grip}}\n"
         f"    through: Up\n    source: {source}\n",
         "m.capabilities.yaml",
     )
-    assert good(ours).equivalences["up"].loss == 0.1
-    registry = good(ours, mission=mission)
+    assert good(path).equivalences["up"].loss == 0.1
+    registry = good(path, mission=mission)
     assert registry.equivalences == {}
     assert registry.compositions["up"].source == source
 
@@ -225,9 +225,9 @@ def test_errors_of_all_files_are_reported_in_one_run(write) -> None:
         write("registry: 1\nagents: {a: {payload: &x 3}}\n", "c.yaml"),
         write("registry: 1\nagents: {a: {payload: x}, b: {payload: 3 m}}\n", "d.yaml"),
     ]
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         read_registry([BASE, *files])
-    assert [d.code for d in caught.value.diagnostics] == ["C110", "C130", "Y111", "Y103", "C121", "C124"]
+    assert [d.code for d in error.value.diagnostics] == ["C110", "C130", "Y111", "Y103", "C121", "C124"]
 
 
 def test_missing_registry_file_is_an_input_file_error(tmp_path: Path) -> None:

@@ -84,9 +84,9 @@ def test_two_drivers_that_define_one_type_are_reported(hall: Path) -> None:
 def test_provider_without_a_resource_type_is_an_error(hall: Path, name: str, capsys) -> None:
     mission = hall / "m.capabilities.yaml"
     mission.write_text(f"registry: 1\nproviders: {{{name}: {{attributes: {{payload: 5.0}}}}}}\n")
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         load_mission(hall / "m.dL")
-    assert [finding.code for finding in caught.value.diagnostics] == ["C102" if name == "lorry" else "C175"]
+    assert [finding.code for finding in error.value.diagnostics] == ["C102" if name == "lorry" else "C175"]
     assert main(["check", str(hall / "m.dL"), str(hall / "m.L"), f"{hall}/../mission/m.dL"]) == 65
     assert capsys.readouterr().err.count("error[") == 1
     assert main(["capabilities", "check", str(mission)]) == 65
@@ -95,9 +95,9 @@ def test_provider_without_a_resource_type_is_an_error(hall: Path, name: str, cap
 def test_unknown_include_is_an_error(hall: Path) -> None:
     mission = hall / "m.capabilities.yaml"
     mission.write_text("registry: 1\nproviders: {Barge: {include: hall/barge.L}}\n")
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         load_mission(hall / "m.dL")
-    assert [finding.code for finding in caught.value.diagnostics] == ["C176"]
+    assert [finding.code for finding in error.value.diagnostics] == ["C176"]
 
 
 def test_stock_registry_includes_existing_files() -> None:

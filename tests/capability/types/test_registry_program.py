@@ -128,8 +128,8 @@ def test_live_attribute_of_an_unknown_device_is_dropped_with_a_finding(tmp_path:
 def test_every_unit_of_a_driver_is_known() -> None:
     devices = discover().device_types.values()
     reported = {quantity.unit for device in devices for quantity in device.telemetry}
-    taken = {p.unit for device in devices for i in device.instructions for p in i.parameters}
-    assert [unit for unit in reported | taken if not is_unit(unit)] == []
+    units = {p.unit for device in devices for i in device.instructions for p in i.parameters}
+    assert [unit for unit in reported | units if not is_unit(unit)] == []
     assert "°C" in reported
 
 

@@ -36,10 +36,12 @@ providers:
 """
 
 
-def run_program(lfield, name: str, *words: object, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+def run_program(
+    lfield, name: str, *arguments: object, env: dict[str, str]
+) -> subprocess.CompletedProcess[str]:
     file = lfield.write(name, program_of_page(name))
     return subprocess.run(
-        [sys.executable, file, *map(str, words)],
+        [sys.executable, file, *map(str, arguments)],
         cwd=lfield.folder,
         env={**lfield.environment, **env},
         capture_output=True,

@@ -172,8 +172,8 @@ def test_no_bytes_cause_a_traceback(
     good = path.read_bytes()
     path.write_bytes(data if isinstance(data, bytes) else mutated(good, data))
     try:
-        status, told = said(line)
+        status, output = said(line)
     finally:
         path.write_bytes(good)
-    assert status in ENDS | ALSO.get(line.partition(" ")[0], set()), told
-    assert told or status in (exit_status.DONE, exit_status.FAILED)
+    assert status in ENDS | ALSO.get(line.partition(" ")[0], set()), output
+    assert output or status in (exit_status.DONE, exit_status.FAILED)

@@ -83,14 +83,14 @@ def test_all_hosts_of_a_bundle_run_at_once(lfield, bundled) -> None:
 
 def test_a_build_reports_its_bundle(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    made = lfield("build", "mission.dL", "-o", "other.lfm", status=0)
-    (told,) = made.err
-    assert told.startswith("other.lfm: ")
-    assert told.endswith("for alpha, bravo")
-    shown = here("inspect", "other.lfm")
-    text = "\n".join(shown.out)
+    result = lfield("build", "mission.dL", "-o", "other.lfm", status=0)
+    (line,) = result.err
+    assert line.startswith("other.lfm: ")
+    assert line.endswith("for alpha, bravo")
+    output = here("inspect", "other.lfm")
+    text = "\n".join(output.out)
     assert "host bravo at bravo:8181\n  resource echo (Echo)" in text
-    assert told.split("bundle ")[1].split(",")[0] in text
+    assert line.split("bundle ")[1].split(",")[0] in text
     checked = here("check", "other.lfm")
     assert (checked.status, checked.err) == (0, [])
     assert "Caller" in "\n".join(here("disasm", "other.lfm").out)
@@ -106,8 +106,8 @@ def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alo
     team = lfield.start("up", "mission.lfm", "--all", env=alone)
     team.wait_for("bravo listening ")
     for mission in (["mission.lfm"], ["--deploy", deployment]):
-        shown = lfield("ps", *mission, env=alone, status=0)
-        assert "echo" in "\n".join(shown.out)
+        output = lfield("ps", *mission, env=alone, status=0)
+        assert "echo" in "\n".join(output.out)
         stopped = lfield("estop", *mission, env=alone)
         assert (lfield.status(stopped), stopped.out) == (
             0,
@@ -163,8 +163,8 @@ def test_a_program_is_refused_as_mission(lfield, here) -> None:
 
 def test_an_unbound_device_is_refused_in_a_build(lfield, here) -> None:
     lfield.mission(ARM, "//Arm:arm@here\n")
-    made = here("build", "mission.dL", status=65)
-    assert "arm.boom (Dynamixel) is not bound" in made.err[0]
+    result = here("build", "mission.dL", status=65)
+    assert "arm.boom (Dynamixel) is not bound" in result.err[0]
     assert not (lfield.folder / "mission.lfm").exists()
     here("build", "mission.dL", "--sim", status=0)
 
@@ -179,11 +179,11 @@ agents:
 """
     lfield.mission(program, "//Car:car@here\n", devices)
     lfield.write("keys/secret", "00" * 32)
-    made = here("build", "mission.dL", "-o", "sent/mission.lfm")
-    assert made.status == 73, "there is no such folder"
+    result = here("build", "mission.dL", "-o", "sent/mission.lfm")
+    assert result.status == 73, "there is no such folder"
     (lfield.folder / "sent").mkdir()
-    made = here("build", "mission.dL", "-o", "sent/mission.lfm")
-    assert made.err[-1] == "copy to the same folder: keys/secret"
+    result = here("build", "mission.dL", "-o", "sent/mission.lfm")
+    assert result.err[-1] == "copy to the same folder: keys/secret"
     assert ("00" * 32).encode() not in (lfield.folder / "sent" / "mission.lfm").read_bytes()
 
 

@@ -74,11 +74,11 @@ def run(tmp_path, monkeypatch, capsys):
     (tmp_path / "mission.capabilities.yaml").write_text(MISSION)
     monkeypatch.chdir(tmp_path)
 
-    def ran(*words: str) -> tuple[int, list[str], list[str]]:
-        status = main(["capabilities", *words])
-        said = capsys.readouterr()
-        assert "a bug in lfield" not in said.err
-        return status, said.out.splitlines(), said.err.splitlines()
+    def ran(*arguments: str) -> tuple[int, list[str], list[str]]:
+        status = main(["capabilities", *arguments])
+        output = capsys.readouterr()
+        assert "a bug in lfield" not in output.err
+        return status, output.out.splitlines(), output.err.splitlines()
 
     ran.folder = tmp_path
     return ran
@@ -129,13 +129,13 @@ def test_tree_is_drawn_on_a_terminal(run):
     command = [sys.executable, "-m", "lfield", "capabilities", "tree", "skill.material_handling"]
     done = subprocess.Popen(command, stdout=child, stderr=child, stdin=child, env=environment)
     os.close(child)
-    shown = b""
-    while b"reeling" not in shown:
-        shown += os.read(parent, 4096)
+    output = b""
+    while b"reeling" not in output:
+        output += os.read(parent, 4096)
     assert done.wait(60) == 0
     os.close(parent)
-    assert "├── " in shown.decode()
-    assert "[Lift]" in shown.decode()
+    assert "├── " in output.decode()
+    assert "[Lift]" in output.decode()
 
 
 # show
@@ -334,8 +334,8 @@ def test_a_wrong_promise_of_the_mission_for_it_is_an_error(run):
     (run.folder / "own.capabilities.yaml").write_text(
         "registry: 1\nproviders: {Copter: {serves: {Orbit: {portals: {orbit: circle}}}}}\n"
     )
-    for words in (("own.capabilities.yaml",), ("own.capabilities.yaml", "--program", "own.L")):
-        status, _, err = run("check", *words)
+    for arguments in (("own.capabilities.yaml",), ("own.capabilities.yaml", "--program", "own.L")):
+        status, _, err = run("check", *arguments)
         assert status == 65
         assert [line for line in err if "error[" in line] == [
             "own.capabilities.yaml:2:49: error[C170]: resource Copter has no portal 'circle'"

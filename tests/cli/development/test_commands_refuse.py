@@ -81,8 +81,8 @@ def test_an_invalid_command_line_is_refused(lfield, refused, good, command, word
 
 
 def test_help_and_version_succeed(lfield):
-    shown = lfield("--help", status=0)
-    assert "130  interrupted" in "\n".join(shown.out)
+    output = lfield("--help", status=0)
+    assert "130  interrupted" in "\n".join(output.out)
     assert lfield("--version").out[0].startswith("lfield ")
     assert "--until-done" in "\n".join(lfield("up", "--help").out)
 
@@ -200,8 +200,8 @@ def test_a_damaged_program_file_is_refused(lfield, here, refused, good, program,
     path = lfield.folder / "mission.lb"
     data = bytearray(path.read_bytes())
     if program == "whole":
-        shown = here("disasm", path, status=0)
-        assert any("Ringer" in line for line in shown.out)
+        output = here("disasm", path, status=0)
+        assert any("Ringer" in line for line in output.out)
         here("check", path, status=0)
         return
     if program == "flipped":
@@ -325,8 +325,8 @@ def test_a_host_of_several_does_not_start_without_keys(lfield, refused):
 
 
 def test_a_single_host_without_keys_listens_only_locally(lfield, good):
-    words = ("up", "--deploy", good, "--host", "alpha", "--map", "alpha=no.such.host.invalid:1")
-    done = lfield(*words, "--until-done")
+    arguments = ("up", "--deploy", good, "--host", "alpha", "--map", "alpha=no.such.host.invalid:1")
+    done = lfield(*arguments, "--until-done")
     assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
     assert "alpha listening for commands of this computer" in done.err
 
@@ -351,8 +351,8 @@ def test_a_revoked_host_does_not_start(lfield, refused, good):
         "alpha",
         replace(keys, revoked=lfield.keys.revocation_list(2, f"{TlsIdentity(keys).own_identity().serial}")),
     )
-    words = "the keys of host alpha are revoked (list 2): make new ones with 'lfield keys host alpha'"
-    refused(65, words, "up", "--deploy", good, "--host", "alpha", *maps, "--keys", folder)
+    text = "the keys of host alpha are revoked (list 2): make new ones with 'lfield keys host alpha'"
+    refused(65, text, "up", "--deploy", good, "--host", "alpha", *maps, "--keys", folder)
 
 
 def test_an_address_of_another_computer_is_refused(lfield, refused, good):

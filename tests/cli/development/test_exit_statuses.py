@@ -190,7 +190,7 @@ def test_every_command_and_status_of_the_table_is_tested() -> None:
 
 def test_meanings_of_the_table_are_those_of_the_code() -> None:
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*) \|$", TABLE, re.MULTILINE)
-    assert {int(status): words for status, _, words in rows} == dict(exit_status.MEANINGS)
+    assert {int(status): text for status, _, text in rows} == dict(exit_status.MEANINGS)
     assert all(getattr(exit_status, constant) == int(status) for status, constant, _ in rows)
 
 

@@ -53,9 +53,9 @@ def test_a_file_with_syntax_errors_stays_and_others_are_formatted(folder: Path, 
     (folder / "latin.L").write_bytes("// caf\u00e9".encode("latin-1"))
     (folder / "a.L").write_text(LOOSE)
     assert main(["fmt", "bad.L", "latin.L", "a.L"]) == 65
-    said = capsys.readouterr().err
-    assert "bad.L:2:9: error[L" in said
-    assert "latin.L:1:7: error[L" in said
+    output = capsys.readouterr().err
+    assert "bad.L:2:9: error[L" in output
+    assert "latin.L:1:7: error[L" in output
     assert (folder / "bad.L").read_text() == "resource Bell {\n  init( }"
     assert (folder / "a.L").read_text() == GOOD
 

@@ -22,5 +22,5 @@ def test_a_heartbeat_interval_is_shown(lfield, here, calls, message):
     (boss,) = desk.endings
     data = dump_file.encode("alpha", "why", 1 << 20, machine.team, ("alpha",), machine.program, boss.block)
     (lfield.folder / "boss.block").write_bytes(data)
-    shown = here("inspect", "boss.block", status=0)
-    assert [line for line in shown.out if line.startswith("heartbeat")] == message
+    output = here("inspect", "boss.block", status=0)
+    assert [line for line in output.out if line.startswith("heartbeat")] == message

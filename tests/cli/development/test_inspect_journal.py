@@ -116,9 +116,9 @@ def pages() -> Sequence[Record]:
 
 
 def kept(folder: Path) -> FileJournal:
-    made = journal(folder)
-    asyncio.run(made.persist(pages()))
-    return made
+    path = journal(folder)
+    asyncio.run(path.persist(pages()))
+    return path
 
 
 def sql(folder: Path, statement: str) -> None:
@@ -127,12 +127,12 @@ def sql(folder: Path, statement: str) -> None:
 
 
 def test_all_records_are_shown_while_a_host_has_the_journal_and_after(tmp_path: Path) -> None:
-    made = kept(tmp_path)
+    path = kept(tmp_path)
     record, program, _ = dump_file.decode(DUMP.read_bytes())
     stack = re.search(r"thread.*?\n(?=\nfields)", inspect(DUMP).out, re.DOTALL)
     assert stack
     expected = (
-        SHOWN.replace("IDENTITY", f"{made.identity:016x}")
+        SHOWN.replace("IDENTITY", f"{path.identity:016x}")
         .replace("PROGRAM", program.digest.hex()[:16])
         .replace("SIZE", str(len(record.program)))
         .replace("BLOCK", str(len(record.block)))
@@ -140,13 +140,13 @@ def test_all_records_are_shown_while_a_host_has_the_journal_and_after(tmp_path: 
     )
     assert "at Loader." in expected
     assert inspect(tmp_path) == Said(0, expected, "")
-    made.close()
+    path.close()
     assert inspect(tmp_path / "host.journal") == Said(0, expected, "")
 
 
 def test_all_records_are_shown_as_json(tmp_path: Path) -> None:
-    made = kept(tmp_path)
-    made.close()
+    path = kept(tmp_path)
+    path.close()
     dumped = json.loads(inspect(DUMP, "--json").out)
     status, out, err = inspect(tmp_path, "--json")
     assert (status, err) == (0, "")
@@ -168,21 +168,21 @@ def test_all_records_are_shown_as_json(tmp_path: Path) -> None:
 def test_a_damaged_journal_as_json_ends_with_the_error(tmp_path: Path) -> None:
     kept(tmp_path).close()
     sql(tmp_path, "UPDATE pages SET kept = kept + 1 WHERE name = 'digger'")
-    said = inspect(tmp_path, "--json")
-    found, error = map(json.loads, said.out.splitlines())
+    output = inspect(tmp_path, "--json")
+    found, error = map(json.loads, output.out.splitlines())
     assert "the copy of digger, start 1" in found["damaged"][0]["what"]
-    assert (said.status, error["exit_status"]) == (65, 65)
+    assert (output.status, error["exit_status"]) == (65, 65)
 
 
 def test_a_folder_without_a_journal_is_reported(tmp_path: Path) -> None:
-    said = inspect(tmp_path)
-    assert (said.status, said.out) == (66, "")
-    assert said.err == f"lfield: cannot read {tmp_path}: the folder has no host.journal\n"
+    output = inspect(tmp_path)
+    assert (output.status, output.out) == (66, "")
+    assert output.err == f"lfield: cannot read {tmp_path}: the folder has no host.journal\n"
     file = tmp_path / "host.journal"
     file.symlink_to("nowhere")
     for named in (tmp_path, file):
-        said = inspect(named)
-        assert said == Said(66, "", f"lfield: cannot read {file}: it is a link that leads nowhere\n")
+        output = inspect(named)
+        assert output == Said(66, "", f"lfield: cannot read {file}: it is a link that leads nowhere\n")
     file.unlink()
     file.mkdir()
     for named in (tmp_path, file):
@@ -192,25 +192,27 @@ def test_a_folder_without_a_journal_is_reported(tmp_path: Path) -> None:
 def test_a_damaged_page_is_named_and_all_others_are_shown(tmp_path: Path) -> None:
     kept(tmp_path).close()
     sql(tmp_path, "UPDATE pages SET kept = kept + 1 WHERE name = 'digger'")
-    said = inspect(tmp_path)
-    assert said.status == 65
-    assert "scout, start 1: RUN" in said.out
-    assert "\ndamaged: the copy of digger, start 1, stored 2027-01-15 08:00:01 UTC: its checksum" in said.out
-    assert said.err.endswith("host.journal: 1 damaged page\n")
+    output = inspect(tmp_path)
+    assert output.status == 65
+    assert "scout, start 1: RUN" in output.out
+    assert (
+        "\ndamaged: the copy of digger, start 1, stored 2027-01-15 08:00:01 UTC: its checksum" in output.out
+    )
+    assert output.err.endswith("host.journal: 1 damaged page\n")
     journal(tmp_path).close()
-    said = inspect(tmp_path)
-    assert (said.status, said.err) == (0, "")
-    assert "\nmoved aside: the copy of digger, start 1" in said.out
+    output = inspect(tmp_path)
+    assert (output.status, output.err) == (0, "")
+    assert "\nmoved aside: the copy of digger, start 1" in output.out
 
 
 def test_pending_calls_are_shown_with_their_state(tmp_path: Path) -> None:
-    made = journal(tmp_path)
+    path = journal(tmp_path)
     under_way, ended = (
         PendingCallRecord("boss", 4, 1, "left", "lift"),
         PendingCallRecord("boss", 4, 2, "right", "lift", "done", bytes(16)),
     )
-    asyncio.run(made.persist([under_way, ended]))
-    made.close()
+    asyncio.run(path.persist([under_way, ended]))
+    path.close()
     as_of = "  as of     2027-01-15 08:00:00 UTC\n"
     assert (
         f"\nboss, start 4: call 1 started: left.lift\n{as_of}  outcome   unknown: the call was running\n"
@@ -224,9 +226,9 @@ def test_pending_calls_are_shown_with_their_state(tmp_path: Path) -> None:
 
 
 def test_reservations_are_shown(tmp_path: Path) -> None:
-    made = journal(tmp_path)
-    asyncio.run(made.persist([ReservationRecord("arm", 41, "boss", 4), ReservationRecord("leg", 7)]))
-    made.close()
+    path = journal(tmp_path)
+    asyncio.run(path.persist([ReservationRecord("arm", 41, "boss", 4), ReservationRecord("leg", 7)]))
+    path.close()
     out = inspect(tmp_path).out
     assert "reserved  arm, number 41: boss, start 4\n" in out
     assert "reserved  leg, number 7: free\n" in out
@@ -240,11 +242,11 @@ def test_the_rest_of_a_truncated_journal_is_shown(tmp_path: Path) -> None:
     kept(tmp_path).close()
     path = tmp_path / "host.journal"
     path.write_bytes(path.read_bytes()[:-4096])
-    said = inspect(path)
-    assert said.status == 65
-    assert said.out.startswith("journal   of barn in harvest\n")
-    assert "starts    4\n" in said.out
-    assert "damaged; the readable records are above" in said.err
+    output = inspect(path)
+    assert output.status == 65
+    assert output.out.startswith("journal   of barn in harvest\n")
+    assert "starts    4\n" in output.out
+    assert "damaged; the readable records are above" in output.err
 
 
 @pytest.mark.parametrize(
@@ -264,7 +266,7 @@ def test_a_file_of_another_format_is_one_sentence(
         sql(tmp_path, statement)
     if data is not None:
         (tmp_path / "host.journal").write_bytes(data)
-    said = inspect(tmp_path)
-    assert said.status == 65
-    assert says in said.err
-    assert len(said.err.splitlines()) == 1
+    output = inspect(tmp_path)
+    assert output.status == 65
+    assert says in output.err
+    assert len(output.err.splitlines()) == 1

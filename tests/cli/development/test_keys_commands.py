@@ -43,15 +43,15 @@ def team(here, own_settings: Path) -> Path:
 
 
 def test_created_keys_are_reported_with_their_destination(here, own_settings: Path) -> None:
-    begun = here("keys", "init", "--days", "30")
+    result = here("keys", "init", "--days", "30")
     assert re.fullmatch(
-        rf"{own_settings}/authority: the authority [0-9a-f]{{12}}, until \S+ \S+ UTC", begun.out[0]
+        rf"{own_settings}/authority: the authority [0-9a-f]{{12}}, until \S+ \S+ UTC", result.out[0]
     )
-    assert "authority.key can issue keys with every right" in begun.out[1]
-    made = here("keys", "host", "alpha", "--days", "5")
-    assert made.out[0].startswith("host alpha: until 20")
-    assert f"~/.config/lfield/keys/alpha   a copy of {own_settings}/authority/hosts/alpha" in made.out[1]
-    assert "/etc/lfield/keys/alpha, owned by the service's user" in made.out[2]
+    assert "authority.key can issue keys with every right" in result.out[1]
+    output = here("keys", "host", "alpha", "--days", "5")
+    assert output.out[0].startswith("host alpha: until 20")
+    assert f"~/.config/lfield/keys/alpha   a copy of {own_settings}/authority/hosts/alpha" in output.out[1]
+    assert "/etc/lfield/keys/alpha, owned by the service's user" in output.out[2]
     anna = here("keys", "person", "anna", "--may", "stop")
     assert anna.out[0].endswith("may observe,stop")
     assert f"~/.config/lfield/keys/me, a copy of {own_settings}/authority/people/anna" in anna.out[1]
@@ -72,11 +72,11 @@ def test_one_command_creates_an_authority_and_the_keys_of_its_operator(here, own
 
 def test_keys_of_a_team_are_listed_renewed_and_revoked(here, team: Path) -> None:
     here("keys", "renew", "host", "alpha", "--days", "700", status=0)
-    gone = here("keys", "revoke", "host", "bravo")
-    assert re.fullmatch(r"host bravo: certificate [0-9a-f]{12} is revoked", gone.out[0])
-    assert re.fullmatch(rf"list \d{{10}} is {team}/revoked.crl: copy it .*", gone.out[1])
+    revocation = here("keys", "revoke", "host", "bravo")
+    assert re.fullmatch(r"host bravo: certificate [0-9a-f]{12} is revoked", revocation.out[0])
+    assert re.fullmatch(rf"list \d{{10}} is {team}/revoked.crl: copy it .*", revocation.out[1])
     listed = [line.split() for line in here("keys", "list").out[1:]]
-    assert [(words[0], " ".join(words[6:])) for words in listed[1:]] == [
+    assert [(fields[0], " ".join(fields[6:])) for fields in listed[1:]] == [
         ("good", "host alpha"),
         ("good", "host alpha"),
         ("revoked", "host bravo"),
@@ -91,8 +91,8 @@ def test_keys_of_a_team_are_listed_renewed_and_revoked(here, team: Path) -> None
 
 
 def test_keys_of_a_folder_are_shown_with_their_problems(here, team: Path, own_settings: Path) -> None:
-    mine = here("keys", "show")
-    assert (mine.status, mine.out[0].split(": ")[1][:11]) == (0, "anna, valid")
+    output = here("keys", "show")
+    assert (output.status, output.out[0].split(": ")[1][:11]) == (0, "anna, valid")
     alpha = team / "hosts" / "alpha"
     here("keys", "show", alpha, status=0)
     (alpha / "host.key").chmod(0o644)
@@ -143,16 +143,16 @@ def test_invalid_command_lines_of_keys_and_sign_are_refused(
     assert words in result.err[0]
 
 
-@pytest.mark.parametrize("words", ["observe, stop", "stop,", " observe ,stop , "])
-def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, words: str) -> None:
-    assert here("keys", "person", "bob", "--may", words).out[0].endswith("may observe,stop")
+@pytest.mark.parametrize("arguments", ["observe, stop", "stop,", " observe ,stop , "])
+def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, arguments: str) -> None:
+    assert here("keys", "person", "bob", "--may", arguments).out[0].endswith("may observe,stop")
 
 
 def test_the_hint_for_a_missing_right_grants_it(here, team: Path) -> None:
     may = frozenset({Right.OBSERVE, Right.COMMAND})
     here("keys", "person", "oli", "--may", "observe,command", status=0)
-    said = missing_permission(Identity("person", "oli", may), ALLOWED, EmergencyStop(bytes(16), "fog"))
-    for line in re.findall("'lfield (.*?)'", said):
+    refusal = missing_permission(Identity("person", "oli", may), ALLOWED, EmergencyStop(bytes(16), "fog"))
+    for line in re.findall("'lfield (.*?)'", refusal):
         done = here(*line.split(), status=0)
     assert done.out[0].endswith("may observe,stop,command")
 

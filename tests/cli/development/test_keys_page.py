@@ -19,13 +19,13 @@ def authority(here, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_page_keys_are_created_with_a_root_that_is_created_once(here, authority: Path) -> None:
-    made = here("keys", "page", "192.168.1.20", "Ground.local", "192.168.1.20")
+    result = here("keys", "page", "192.168.1.20", "Ground.local", "192.168.1.20")
     page = authority / "pages" / "192.168.1.20"
-    assert (made.status, made.err) == (0, [])
-    assert made.out[0].startswith("page 192.168.1.20, ground.local: until 20")
-    assert made.out[1].strip().startswith(f"lfield watch --listen 192.168.1.20 --page-keys {page} ")
-    assert f"import {authority}/browsers.crt as an authority" in made.out[2]
-    assert "install that file as a CA certificate" in made.out[3]
+    assert (result.status, result.err) == (0, [])
+    assert result.out[0].startswith("page 192.168.1.20, ground.local: until 20")
+    assert result.out[1].strip().startswith(f"lfield watch --listen 192.168.1.20 --page-keys {page} ")
+    assert f"import {authority}/browsers.crt as an authority" in result.out[2]
+    assert "install that file as a CA certificate" in result.out[3]
     assert read_web_keys(page).names == ("192.168.1.20", "ground.local")
     root, keys = (authority / "browsers.crt").read_bytes(), read_web_keys(page)
     assert {
@@ -42,9 +42,9 @@ def test_page_keys_are_created_with_a_root_that_is_created_once(here, authority:
 def test_keys_of_a_page_are_shown_with_their_problems(here, authority: Path) -> None:
     here("keys", "page", "192.168.1.20", "ground.local", "--days", "200")
     page = authority / "pages" / "192.168.1.20"
-    shown = here("keys", "show", page)
-    assert (shown.status, len(shown.out)) == (0, 1)
-    assert shown.out[0].startswith(f"keys {page}: a page at 192.168.1.20, ground.local, valid until 20")
+    output = here("keys", "show", page)
+    assert (output.status, len(output.out)) == (0, 1)
+    assert output.out[0].startswith(f"keys {page}: a page at 192.168.1.20, ground.local, valid until 20")
     here("keys", "page", "192.168.1.20", "ground.local", "--days", "9")
     soon = here("keys", "show", page)
     assert ", expire in 8 days, 20" in soon.out[0]

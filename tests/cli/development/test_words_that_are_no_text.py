@@ -94,12 +94,12 @@ def lines(name: str, tried: str) -> Iterator[list[str]]:
                 words.append(word)
             elif action.nargs in (None, "+", 1):
                 words.append(GOOD.get(action.dest, (action.choices or ["some"])[0]))
-        beside = BESIDE.get(name, [])
-        given = tried if tried.startswith("-") else "--deploy"
-        if given in beside and (given == tried or tried == "mission"):
-            at = beside.index(given)
-            beside = beside[:at] + beside[at + 2 :]
-        yield words + beside + ([tried, word] if tried.startswith("-") else [])
+        other_options = BESIDE.get(name, [])
+        option = tried if tried.startswith("-") else "--deploy"
+        if option in other_options and (option == tried or tried == "mission"):
+            at = other_options.index(option)
+            other_options = other_options[:at] + other_options[at + 2 :]
+        yield words + other_options + ([tried, word] if tried.startswith("-") else [])
 
 
 @pytest.fixture(scope="module")
@@ -127,10 +127,10 @@ def test_an_undecodable_word_causes_no_internal_error(
     # `lfield mcp` reads its input to the end.
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO()))
     for words in lines(name, option):
-        status, told = said(words)
-        assert status in exit_status.MEANINGS, (words, told)
-        assert status != exit_status.SOFTWARE, (words, told)
-        assert r"\udcff" not in told, words
+        status, output = said(words)
+        assert status in exit_status.MEANINGS, (words, output)
+        assert status != exit_status.SOFTWARE, (words, output)
+        assert r"\udcff" not in output, words
 
 
 @pytest.mark.parametrize("file", ["mission", "m\udcf6"])
@@ -155,8 +155,8 @@ def test_characters_outside_the_output_encoding_are_escaped(folder: Path) -> Non
         assert main(["capabilities", "show", "Lift"]) == exit_status.DONE
     out.seek(0)
     assert r"temperature (\u{b0}C)" in out.read()
-    status, told = said(["capabilities", "show", "größe"])
-    assert (status, told.startswith(r"lfield: the registry has no 'gr\u{f6}\u{df}e'")) == (
+    status, output = said(["capabilities", "show", "größe"])
+    assert (status, output.startswith(r"lfield: the registry has no 'gr\u{f6}\u{df}e'")) == (
         exit_status.USAGE,
         True,
     )

@@ -20,8 +20,8 @@ DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Nobody:one@alpha\n"
 @pytest.fixture
 def deployment(lfield):
     """Two copters on one link; only the first one answers."""
-    words = ("--listen", "udp:127.0.0.1:0", "--set-up", "--until-stdin-closes")
-    fake = lfield.start("sim", "mavlink", *words, stdin=True)
+    arguments = ("--listen", "udp:127.0.0.1:0", "--set-up", "--until-stdin-closes")
+    fake = lfield.start("sim", "mavlink", *arguments, stdin=True)
     endpoint = fake.wait_for(r"^ready (\S+)")[1]
     copter = f"driver: mavlink, endpoint: '{endpoint}', waivers: [device_watchdog]"
     devices = (

@@ -60,9 +60,9 @@ def sensor_site(tmp_path_factory):
     return folder
 
 
-def lfield(site, *words, **options):
+def lfield(site, *arguments, **options):
     return subprocess.Popen(
-        [sys.executable, "-m", "lfield.cli.main", *words],
+        [sys.executable, "-m", "lfield.cli.main", *arguments],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options,
     )  # fmt: skip
@@ -82,9 +82,9 @@ def endpoint(site):
 @pytest.mark.few(0)
 def test_a_new_driver_passes_the_kit_on_its_own_fake(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--silence", "2")
-    said, _ = kit.communicate()
-    assert kit.returncode == 0, said
-    assert "13 passed, 0 failed, 0 not run" in said
+    output, _ = kit.communicate()
+    assert kit.returncode == 0, output
+    assert "13 passed, 0 failed, 0 not run" in output
 
 
 def test_the_kit_detects_a_fault_of_a_new_driver(site, monkeypatch):
@@ -106,17 +106,17 @@ def test_a_failed_check_sets_the_exit_status(site, endpoint):
     # The distance is below the minimum of the check, which is refused immediately.
     short = ("--set", "ttl=0.2", "--set", "limits={value: 0.05}")
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", *short, "--silence", "0.5")
-    said, _ = kit.communicate()
-    assert kit.returncode == 1, said
-    assert "FAILED  kit.device: moves and reports its position" in said
+    output, _ = kit.communicate()
+    assert kit.returncode == 1, output
+    assert "FAILED  kit.device: moves and reports its position" in output
 
 
 @pytest.mark.few(0)
 def test_without_consent_nothing_moves(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--silence", "2", stdin=subprocess.DEVNULL)
-    said, _ = kit.communicate()
-    assert kit.returncode == 0, said
-    assert "4 passed, 0 failed, 9 not run" in said
+    output, _ = kit.communicate()
+    assert kit.returncode == 0, output
+    assert "4 passed, 0 failed, 9 not run" in output
 
 
 def errors(plugins, program):
@@ -200,7 +200,7 @@ def test_a_serial_driver_moves_its_fake_on_a_pseudo_terminal(serial_site):
         fakes=[lambda: fake.SIM.serve(args)],
     )
 
-    async def story(device):
+    async def scenario(device):
         await device.execute("moveTo", [0.05])
         assert bench.values["value"] == pytest.approx(0.05)
         with pytest.raises(DeviceError, match="is beyond the limit of 1"):
@@ -210,7 +210,7 @@ def test_a_serial_driver_moves_its_fake_on_a_pseudo_terminal(serial_site):
         await device.make_safe()
         assert (device.moving(), bench.values["value"] < 1.0) == ("", True)
 
-    bench.run_real(story)
+    bench.run_real(scenario)
 
 
 def test_a_serial_sensor_is_written(tmp_path):

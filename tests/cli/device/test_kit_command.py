@@ -12,8 +12,8 @@ pytestmark = pytest.mark.process
 @pytest.fixture
 def bus(lfield):
     """The endpoint of two axes."""
-    words = ("--device", "cia402:5", "--device", "cia402:6", "--until-stdin-closes")
-    return lfield.start("sim", "can", *words, stdin=True).wait_for(r"^ready (\S+)")[1]
+    arguments = ("--device", "cia402:5", "--device", "cia402:6", "--until-stdin-closes")
+    return lfield.start("sim", "can", *arguments, stdin=True).wait_for(r"^ready (\S+)")[1]
 
 
 @pytest.mark.parametrize(
@@ -41,12 +41,12 @@ def test_an_invalid_command_line_is_refused_with_a_sentence(here, words, status,
 @pytest.mark.few(0)
 def test_a_missing_endpoint_is_one_sentence(here):
     axis = ("--set", "protocol=cia402", "--set", "node=5", "--set", "counts=100")
-    for words in (
+    for arguments in (
         ("mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "connect=0.3"),
         ("can", "--type", "CanAxis", "--endpoint", "socketcand:127.0.0.1:1/can0", *axis),
         ("dynamixel", "--type", "Dynamixel", "--endpoint", "serial:/dev/there-is-none:57600"),
     ):
-        kit = here("kit", *words, "--silence", "2", status=69)
+        kit = here("kit", *arguments, "--silence", "2", status=69)
         assert kit.out == []
         assert kit.err[0].startswith("kit.device: ")
         assert len(kit.err) == 1
@@ -80,10 +80,10 @@ def test_devices_of_a_file_are_checked_as_json_without_consent(lfield, bus, here
 def test_checks_without_motion_run_on_a_fake(lfield, driver, fake, settings, passed, here):
     """tests/kits has the complete kits, in virtual time."""
     sim = lfield.start("sim", driver, *fake, "--until-stdin-closes", stdin=True)
-    words = [word for setting in settings for word in ("--set", setting)]
+    arguments = [argument for setting in settings for argument in ("--set", setting)]
     types = ["--type", "Dynamixel"] if driver == "dynamixel" else []
     where = sim.wait_for(r"^ready (\S+)")[1]
-    kit = here("kit", driver, "--endpoint", where, *types, *words, "--silence", "2", status=0)
+    kit = here("kit", driver, "--endpoint", where, *types, *arguments, "--silence", "2", status=0)
     assert kit.out[0].startswith("ok      kit.device: endpoint: ")
     assert kit.out[1].startswith("ok      kit.device: identity: ")
     assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")

@@ -21,8 +21,8 @@ HOME = ("--home", "47.3977419,8.545594")
 def plan(capsys):
     """Run `lfield plan`; returns its status, output and errors."""
 
-    def run(*words):
-        status = main(["plan", *map(str, words)])
+    def run(*arguments):
+        status = main(["plan", *map(str, arguments)])
         captured = capsys.readouterr()
         return status, captured.out, captured.err
 
@@ -81,7 +81,7 @@ def test_a_self_intersecting_area_is_refused_and_a_line_accepted(plan, tmp_path)
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ("check", KML, "--radius", "50"),
         ("check", PLAN, "--name", "north field"),
@@ -96,8 +96,8 @@ def test_a_self_intersecting_area_is_refused_and_a_line_accepted(plan, tmp_path)
         (),
     ],
 )
-def test_usage_errors_of_plan(plan, words):
-    assert plan(*words)[0] == exit_status.USAGE
+def test_usage_errors_of_plan(plan, arguments):
+    assert plan(*arguments)[0] == exit_status.USAGE
 
 
 def test_unreadable_plan_files_are_refused(plan, tmp_path):
@@ -121,9 +121,9 @@ def test_unreadable_plan_files_are_refused(plan, tmp_path):
 def test_plan_show_draws_pictures(plan, tmp_path, file, texts):
     out = tmp_path / "f.svg"
     assert plan("show", file, "--out", out)[0] == exit_status.DONE
-    shown = [element.text for element in ET.parse(out).iter() if element.text and element.text.strip()]
-    assert set(texts) <= set(shown)
-    assert any(text.startswith("a square is") for text in shown)
+    labels = [element.text for element in ET.parse(out).iter() if element.text and element.text.strip()]
+    assert set(texts) <= set(labels)
+    assert any(text.startswith("a square is") for text in labels)
 
 
 def test_a_plan_without_a_position_has_no_picture(plan, tmp_path):

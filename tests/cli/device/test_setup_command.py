@@ -20,8 +20,8 @@ STOCK = "FS_GCS_ENABLE is 0 and must be 5"
 @pytest.fixture
 def endpoint(lfield):
     """A copter with factory settings."""
-    words = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", "--param", "WPNAV_SPEED=1000")
-    return lfield.start("sim", "mavlink", *words, stdin=True).wait_for(r"^ready (\S+)")[1]
+    arguments = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", "--param", "WPNAV_SPEED=1000")
+    return lfield.start("sim", "mavlink", *arguments, stdin=True).wait_for(r"^ready (\S+)")[1]
 
 
 @pytest.fixture
@@ -64,10 +64,10 @@ def test_missing_settings_are_reported_written_and_restored(lfield, here, setup,
         in up.err
     )
 
-    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
-    kit = here("kit", *words, "--silence", "2", "--yes", status=69)
+    arguments = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
+    kit = here("kit", *arguments, "--silence", "2", "--yes", status=69)
     assert STOCK in kit.err[0]
-    assert kit.err[1].endswith(f"to set it up: lfield setup {' '.join(words)}")
+    assert kit.err[1].endswith(f"to set it up: lfield setup {' '.join(arguments)}")
 
     # Without a terminal for consent nothing is changed.
     result = setup("--deploy", deployment)
@@ -94,10 +94,10 @@ def test_missing_settings_are_reported_written_and_restored(lfield, here, setup,
 
 @pytest.mark.few(0)
 def test_a_setting_changed_since_is_left_unchanged(lfield, setup, endpoint):
-    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--yes")
+    arguments = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--yes")
     assert setup("--back").status == 0, "there is no file yet"
-    assert setup(*words, "--set", "safe_state=land").status == 0
-    assert setup(*words, "--set", "safe_state=return").status == 0
+    assert setup(*arguments, "--set", "safe_state=land").status == 0
+    assert setup(*arguments, "--set", "safe_state=return").status == 0
     first = lfield.folder / "state" / "setup-1.json"
     back = setup("--apply", first, "--yes")
     assert back.status == 69
@@ -109,35 +109,35 @@ def test_a_setting_changed_since_is_left_unchanged(lfield, setup, endpoint):
 
 def test_settings_that_cannot_be_saved_are_not_written(lfield, setup, endpoint, monkeypatch):
     lfield.write("plain", "")
-    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
-    done = setup(*words, "--yes", state="plain/state")
+    arguments = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
+    done = setup(*arguments, "--yes", state="plain/state")
     assert done.status == 73, done.err
     assert not any("is kept in" in line or " is now " in line for line in done.out), done.out
     monkeypatch.setattr("lfield.cli.device.setup._confirmed", lambda: False)
-    result = setup(*words)
+    result = setup(*arguments)
     assert (result.status, result.out[-1]) == (1, "nothing was written")
     assert ["FS_GCS_ENABLE", "0", "5"] in [line.split()[1:4] for line in result.out]
 
 
 @pytest.mark.few(0)
 def test_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
-    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
-    kept = lfield.folder / "state" / "setup-1.json"
+    arguments = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
+    backup = lfield.folder / "state" / "setup-1.json"
     # Delayed answers: the interrupt arrives between the writes.
     lfield("sim", "fault", "mavlink", "delay=0.4", status=0)
-    writing = lfield.start("setup", *words, "--yes", "--state", "state")
+    writing = lfield.start("setup", *arguments, "--yes", "--state", "state")
     writing.wait_for("FS_GCS_ENABLE was 0 and is now 5")
     writing.signal(signal.SIGINT)
     assert writing.wait() == 130, writing.said
     assert not any("WPNAV_SPEED was" in line for line in writing.out), "it had ended before"
-    assert '"WPNAV_SPEED"' in kept.read_text()
+    assert '"WPNAV_SPEED"' in backup.read_text()
     lfield("sim", "fault", "mavlink", "delay=0", status=0)
 
-    back = setup("--apply", kept, "--yes")
+    back = setup("--apply", backup, "--yes")
     assert back.status == 0, back
     assert "kit.device: FS_GCS_ENABLE was 5 and is 0 again" in back.out
     assert not any("WPNAV_SPEED was" in line for line in back.out), "it was never written"
-    again = setup(*words)
+    again = setup(*arguments)
     assert ["FS_GCS_ENABLE", "0", "5"] in [line.split()[1:4] for line in again.out]
     assert ["WPNAV_SPEED", "1000", "300"] in [line.split()[1:4] for line in again.out]
 
@@ -146,8 +146,10 @@ def test_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
 def test_settings_of_one_vehicle_are_not_restored_to_another(lfield, setup):
     """Two vehicles with the same system id, used in sequence on one computer."""
 
-    def there(where, *words):
-        fake = lfield.start("sim", "mavlink", "--until-stdin-closes", "--listen", where, *words, stdin=True)
+    def there(where, *arguments):
+        fake = lfield.start(
+            "sim", "mavlink", "--until-stdin-closes", "--listen", where, *arguments, stdin=True
+        )
         return fake, fake.wait_for(r"^ready (\S+)")[1]
 
     def gone(fake):

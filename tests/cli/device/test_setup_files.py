@@ -26,8 +26,8 @@ def setup(lfield, here):
     """Run `lfield setup` on one fake, by autopilot."""
 
     def start(autopilot):
-        words = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", "--flavour", autopilot)
-        endpoint = lfield.start("sim", "mavlink", *words, stdin=True).wait_for(r"^ready (\S+)")[1]
+        arguments = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", "--flavour", autopilot)
+        endpoint = lfield.start("sim", "mavlink", *arguments, stdin=True).wait_for(r"^ready (\S+)")[1]
         named = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--state", lfield.folder / "state")
         return lambda *more: here("setup", *named, *more)
 

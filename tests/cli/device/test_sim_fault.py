@@ -18,14 +18,14 @@ class Fakes:
         self.doors = Path(environment["XDG_RUNTIME_DIR"]) / "lfield" / "sims"
 
     def start(self, *vehicles):
-        words = [word for vehicle in vehicles for word in ("--vehicle", vehicle)]
+        arguments = [argument for vehicle in vehicles for argument in ("--vehicle", vehicle)]
         where = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes")
-        fake = self._lfield.start("sim", "mavlink", *where, *words, stdin=True, env=self._environment)
+        fake = self._lfield.start("sim", "mavlink", *where, *arguments, stdin=True, env=self._environment)
         fake.endpoint = fake.wait_for(r"^ready (\S+)")[1]
         return fake
 
-    def fault(self, *words):
-        return self._here("sim", "fault", *words)
+    def fault(self, *arguments):
+        return self._here("sim", "fault", *arguments)
 
 
 @pytest.fixture
@@ -37,8 +37,8 @@ def fakes(alone, lfield, here, monkeypatch):
 
 
 def test_without_a_fake_there_is_nothing_to_show_or_set(fakes):
-    shown = fakes.fault()
-    assert (shown.status, shown.out) == (0, ["no simulated device runs"])
+    output = fakes.fault()
+    assert (output.status, output.out) == (0, ["no simulated device runs"])
     refused = fakes.fault("alpha.fc", "loss=0.1")
     assert refused.status == 64
     assert refused.err == ["lfield: no running simulated device is 'alpha.fc'; running: none"]
@@ -46,10 +46,10 @@ def test_without_a_fake_there_is_nothing_to_show_or_set(fakes):
 
 def test_faults_are_shown_and_set_for_a_fake_and_a_device(fakes):
     fake = fakes.start("1:copter:ardupilot:alpha.fc", "2:rover")
-    shown = fakes.fault()
-    assert shown.status == 0
-    assert shown.out[0] == f"mavlink at {fake.endpoint}: 1 (alpha.fc), 2"
-    assert any(line.startswith("  loss = 0.0  (") for line in shown.out)
+    output = fakes.fault()
+    assert output.status == 0
+    assert output.out[0] == f"mavlink at {fake.endpoint}: 1 (alpha.fc), 2"
+    assert any(line.startswith("  loss = 0.0  (") for line in output.out)
 
     assert any(line.startswith("  loss = 0.25  (") for line in fakes.fault("mavlink", "loss=0.25").out)
     named = fakes.fault("alpha.fc", "silence=true", "delay=0.5")
@@ -63,7 +63,7 @@ def test_faults_are_shown_and_set_for_a_fake_and_a_device(fakes):
 @pytest.mark.few(0)
 def test_an_invalid_fault_is_refused_and_changes_nothing(fakes):
     fakes.start("1:copter:ardupilot:alpha.fc")
-    for words, sentence in (
+    for arguments, sentence in (
         (("alpha.fc", "gravity=0"), "there is no fault 'gravity'; there are: "),
         (("alpha.fc", "delay=0.5", "loss=2"), "loss is from 0 to 1, not 2"),
         (("alpha.fc", "silence=perhaps"), "silence is true or false, not 'perhaps'"),
@@ -71,7 +71,7 @@ def test_an_invalid_fault_is_refused_and_changes_nothing(fakes):
         (("mavlink", "loss"), "'loss' is not a fault; write NAME=VALUE or NAME@DEVICE=VALUE"),
         (("bravo.fc", "loss=0.1"), "no running simulated device is 'bravo.fc'; running: udp:127.0.0.1:"),
     ):
-        refused = fakes.fault(*words)
+        refused = fakes.fault(*arguments)
         assert refused.status == 64, refused
         (line,) = refused.err
         assert sentence in line

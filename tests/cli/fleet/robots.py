@@ -70,9 +70,9 @@ class Robots:
         for host in hosts or self.hosts:
             runtime = self._runtime / host
             runtime.mkdir(mode=0o700, exist_ok=True)
-            words = ["service", "--host", host, "--state", f"state-{host}"]
-            words += [f"--up-options={options}"] if options else []
-            self.services[host] = self._lfield.start(*words, env={"XDG_RUNTIME_DIR": str(runtime)})
+            arguments = ["service", "--host", host, "--state", f"state-{host}"]
+            arguments += [f"--up-options={options}"] if options else []
+            self.services[host] = self._lfield.start(*arguments, env={"XDG_RUNTIME_DIR": str(runtime)})
         for host in hosts or self.hosts:
             self.services[host].wait_for(f"^{host} service listening")
 

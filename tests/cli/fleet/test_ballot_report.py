@@ -36,8 +36,8 @@ def result(**votes: Vote) -> BallotResult:
 )
 def test_the_exit_status_follows_the_votes(capsys, votes: dict[str, Vote], status: int, outcome: str) -> None:
     assert PushReport(DIGEST, as_json=True).on_result(result(**votes)) == status
-    told = json.loads(capsys.readouterr().out)
-    assert (told["outcome"], told["votes"], told["bundle"]) == (outcome, votes, DIGEST.hex())
+    decoded = json.loads(capsys.readouterr().out)
+    assert (decoded["outcome"], decoded["votes"], decoded["bundle"]) == (outcome, votes, DIGEST.hex())
 
 
 def test_each_no_vote_is_printed_with_its_reason(capsys) -> None:

@@ -33,5 +33,5 @@ def test_a_refusal_and_an_unreachable_robot_have_their_own_statuses(
 
 def test_a_robot_at_a_wrong_address_is_reported_as_not_reached(capsys) -> None:
     report_unreached({"alpha": REFUSED, "bravo": OTHER, "carol": UNREACHED}, "")
-    said = [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()]
-    assert said == ["REFUSED", "NOT REACHED", "NOT REACHED"]
+    codes = [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()]
+    assert codes == ["REFUSED", "NOT REACHED", "NOT REACHED"]

@@ -41,8 +41,8 @@ class Team:
         for host in hosts:
             folder = f"{self.runtime}/{host}"
             os.makedirs(folder, mode=0o700)
-            words = ("up", self.deployment, "--host", host, "--first-start", "--volatile")
-            started.append(self.lfield.start(*words, env={"XDG_RUNTIME_DIR": folder}))
+            arguments = ("up", self.deployment, "--host", host, "--first-start", "--volatile")
+            started.append(self.lfield.start(*arguments, env={"XDG_RUNTIME_DIR": folder}))
         return started
 
 
@@ -71,9 +71,9 @@ def test_hosts_and_commands_use_the_inventory(team) -> None:
     team.inventory(alpha="'127.0.0.3:{alpha}'", bravo="'127.0.0.2:{alpha}', '[::1]:{bravo}'")
     # Without and with a mission.
     for words in ((), ("mission.dL",)):
-        shown = team.here("ps", "--json", *words)
-        assert shown.status == 0, shown
-        assert set(told(shown)) >= {"alpha", "bravo"} or set(told(shown).get("hosts", ())) >= {
+        output = team.here("ps", "--json", *words)
+        assert output.status == 0, output
+        assert set(told(output)) >= {"alpha", "bravo"} or set(told(output).get("hosts", ())) >= {
             "alpha",
             "bravo",
         }

@@ -35,10 +35,10 @@ def test_each_address_is_checked_and_a_host_without_an_answer_is_named(lfield, h
         assert state_of(result, "bravo", "service") == ("closed", "")
         assert [each["reached"] for each in told(result).values()] == [True, False]
         here("inventory", "check", "alpha", status=0)
-    shown = here("inventory", "check")
-    assert (shown.status, shown.err) == (69, ["lfield: not reached: bravo"])
+    output = here("inventory", "check")
+    assert (output.status, output.err) == (69, ["lfield: not reached: bravo"])
     _, service = team.ports["alpha"]
-    assert shown.out[1].split()[:4] == ["alpha", "127.0.0.1", str(service), "answers"]
+    assert output.out[1].split()[:4] == ["alpha", "127.0.0.1", str(service), "answers"]
 
 
 @pytest.mark.few(0)
@@ -54,10 +54,10 @@ def test_a_wrong_address_is_named_by_its_certificate(lfield, here, robots) -> No
     assert state_of(result, "alpha", "service") == ("other-host", "bravo")
     assert state_of(result, "bravo", "service") == ("other-host", "alpha")
     assert not any(each["reached"] for each in told(result).values())
-    shown = here("inventory", "check")
-    assert any(f"127.0.0.1:{ports['bravo']} is an address of bravo" in line for line in shown.out)
+    output = here("inventory", "check")
+    assert any(f"127.0.0.1:{ports['bravo']} is an address of bravo" in line for line in output.out)
     # Both have answered.
-    assert shown.err == [
+    assert output.err == [
         "lfield: bravo answered at an address of alpha",
         "lfield: alpha answered at an address of bravo",
     ]
@@ -69,8 +69,8 @@ def test_a_host_of_another_team_is_refused(lfield, here, robots) -> None:
     other = Keyring(lfield.folder / "other").give("alpha") / "me"
     result = here("inventory", "check", "--keys", other, "--json", status=69)
     assert state_of(result, "alpha", "service") == ("refused", "")
-    shown = here("inventory", "check", "--keys", other)
-    assert shown.err == ["lfield: refused: alpha"]
+    output = here("inventory", "check", "--keys", other)
+    assert output.err == ["lfield: refused: alpha"]
 
 
 def test_a_program_that_is_not_a_host_is_not_reached(lfield, here, robots) -> None:
@@ -104,9 +104,9 @@ def test_the_file_is_shown_as_parsed(lfield, here) -> None:
     assert list(told(here("inventory", "show", "bravo", "--inventory", "team.yaml", "--json"))["hosts"]) == [
         "bravo"
     ]
-    shown = here("inventory", "show", "--inventory", "team.yaml")
-    assert shown.out[0] == "team.yaml"
-    assert any(line.split()[:2] == ["bravo", "10.0.0.2:8181"] for line in shown.out)
+    output = here("inventory", "show", "--inventory", "team.yaml")
+    assert output.out[0] == "team.yaml"
+    assert any(line.split()[:2] == ["bravo", "10.0.0.2:8181"] for line in output.out)
 
 
 def test_an_unknown_host_and_a_missing_inventory_are_usage_errors(lfield, here) -> None:

@@ -90,9 +90,9 @@ def test_another_python_is_prepared_for_a_robot_with_an_old_one(folder, here, mo
 def test_each_address_without_an_answer_is_named(folder, here) -> None:
     (folder / "two.yaml").write_text("hosts: {alpha: {addresses: [127.0.0.1, 127.0.0.2], ssh_port: 1}}\n")
     done = here("provision", "--inventory", "two.yaml", "--json", status=exit_status.UNAVAILABLE)
-    said = str(reports(done.out)["alpha"]["message"])
-    assert "127.0.0.1 is unreachable" in said
-    assert "127.0.0.2 is unreachable" in said
+    output = str(reports(done.out)["alpha"]["message"])
+    assert "127.0.0.1 is unreachable" in output
+    assert "127.0.0.2 is unreachable" in output
 
 
 @pytest.mark.parametrize(

@@ -34,8 +34,8 @@ def test_a_mission_is_pushed_started_changed_and_rolled_back(lfield, here, robot
     assert first["outcome"] == "activated"
     assert first["votes"] == {"alpha": "yes", "bravo": "yes"}
 
-    began = here("start", "--json")
-    assert (began.status, told(began)["started"]) == (0, True)
+    started = here("start", "--json")
+    assert (started.status, told(started)["started"]) == (0, True)
     team.services["bravo"].wait_for("^visit 1$")
     team.services["alpha"].wait_for("status 0")
     until(lambda: not any(each["unfinished"] for each in told(here("status", "--json")).values()))
@@ -54,8 +54,8 @@ def test_a_mission_is_pushed_started_changed_and_rolled_back(lfield, here, robot
     states = told(here("status", "--json"))
     assert {each["bundle"] for each in states.values()} == {first["bundle"]}
     assert {each["signed_by"] for each in states.values()} == {"operator"}
-    shown = here("status")
-    assert [line.split()[:3] for line in shown.out[1:3]] == [
+    output = here("status")
+    assert [line.split()[:3] for line in output.out[1:3]] == [
         [host, first["bundle"][:16], "mission"] for host in ("alpha", "bravo")
     ]
 
@@ -88,8 +88,8 @@ def test_unfinished_coordinators_forbid_an_activation_until_discarded(lfield, he
     assert any(line.startswith("tom continues: it has not ended") for line in started.out)
     team.services["bravo"].wait_for("restarted")
     assert told(here("start", "--json"))["continues"] == []
-    gone = told(here("stop", "--discard", "--json"))
-    assert {name for each in gone.values() for name in each["discarded"]} == {"tom"}
+    discarded = told(here("stop", "--discard", "--json"))
+    assert {name for each in discarded.values() for name in each["discarded"]} == {"tom"}
     here("service", "--host", "alpha", "--state", "state-alpha", "--check", status=0)
     here("push", "mission.dL", status=0)
 

@@ -18,7 +18,7 @@ def main() -> None:
     """Connect until stopped."""
     port, keep = int(sys.argv[1]), int(sys.argv[2])
     links: deque[socket.socket] = deque()
-    count, told = 0, time.monotonic()
+    count, last_report = 0, time.monotonic()
     while True:
         link = socket.socket()
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
@@ -31,8 +31,8 @@ def main() -> None:
             link.close()
         if len(links) > keep:
             links.popleft().close()
-        if time.monotonic() - told >= 1.0:
-            told = time.monotonic()
+        if time.monotonic() - last_report >= 1.0:
+            last_report = time.monotonic()
             print(count, flush=True)
 
 

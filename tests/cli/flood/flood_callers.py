@@ -96,9 +96,9 @@ def linked(port: int, keys: TlsIdentity, hello: Hello) -> Caller:
 
 def greeting(port: int, keys: TlsIdentity, name: str) -> Hello:
     """The Hello of another host of the same mission: that of the host at `port`, with the name `name`."""
-    theirs = Caller(port, keys, Hello("observer", "observer", 0)).receive()
-    memory = 77 if theirs.journal_id else 0
-    return replace(theirs, host=name, incarnation=4711, coordinators=[], journal_id=memory)
+    hello = Caller(port, keys, Hello("observer", "observer", 0)).receive()
+    memory = 77 if hello.journal_id else 0
+    return replace(hello, host=name, incarnation=4711, coordinators=[], journal_id=memory)
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ def test_idle_connections_do_not_block_members_or_a_stop(lfield, alone, keep):
     up = ("up", *team, "--sim", "--first-start", "--host")
     alpha = lfield.start(*up, "alpha", env=alone)
     alpha.wait_for("alpha listening")
-    words = [
+    arguments = [
         sys.executable,
         str(Path(__file__).with_name("connecting.py")),
         maps[1].rpartition(":")[2],
@@ -37,7 +37,7 @@ def test_idle_connections_do_not_block_members_or_a_stop(lfield, alone, keep):
     with ExitStack() as stack:
         flooders = [
             stack.enter_context(
-                subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=lfield.environment)
+                subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=lfield.environment)
             )
             for _ in range(FLOODERS)
         ]
@@ -45,18 +45,18 @@ def test_idle_connections_do_not_block_members_or_a_stop(lfield, alone, keep):
             stack.callback(flooder.kill)
             assert flooder.stdout is not None
         counts = [int(flooder.stdout.readline()) for flooder in flooders]
-        began = time.monotonic()
+        started = time.monotonic()
         lfield.start(*up, "charlie", env=alone)
         alpha.wait_for("greeted")
-        linked = time.monotonic() - began
+        linked = time.monotonic() - started
         alpha.wait_for("flies")
-        began = time.monotonic()
+        started = time.monotonic()
         pressed = lfield("estop", *team, "--no-wait", env=alone)
-        took = time.monotonic() - began
+        elapsed = time.monotonic() - started
         assert "alpha: lead.fc: safe" in pressed.out, pressed.said
-        shown = json.loads("\n".join(lfield("ps", *team, "--json", env=alone).out))
+        status = json.loads("\n".join(lfield("ps", *team, "--json", env=alone).out))
     print(
         f"{sum(counts)} connections in the first second, {keep} kept: beats were late by "
-        f"{shown['alpha']['late']} s at most, a link took {linked:.2f} s, a stop {took:.2f} s"
+        f"{status['alpha']['late']} s at most, a link took {linked:.2f} s, a stop {elapsed:.2f} s"
     )
     assert "the host was silent" not in alpha.said

@@ -51,8 +51,8 @@ class Flood:
 @contextmanager
 def flooding(lfield, port: int, kind: str) -> Iterator[Flood]:
     script = Path(__file__).with_name("flood_callers.py")
-    words = [sys.executable, str(script), str(port), str(lfield.keys.folder / "bravo"), "bravo", kind]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=lfield.environment) as popen:
+    arguments = [sys.executable, str(script), str(port), str(lfield.keys.folder / "bravo"), "bravo", kind]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=lfield.environment) as popen:
         try:
             yield Flood(popen)
         finally:
@@ -79,10 +79,10 @@ def test_a_flooding_member_does_not_block_others_and_is_named(lfield, alone, kin
             assert flood.next("closed") - linked >= 5.0
         flood.next("refused")
         flood.next("linked")
-        began = time.monotonic()
+        started = time.monotonic()
         pressed = lfield("estop", *team, "--no-wait", env=alone)
-        took = time.monotonic() - began
+        elapsed = time.monotonic() - started
         assert "alpha: lead.fc: safe" in pressed.out, pressed.said
-        shown = json.loads("\n".join(lfield("ps", *team, "--json", env=alone).out))
-    print(f"{kind}: beats were late by {shown['alpha']['late']} s at most, a stop took {took:.2f} s")
+        status = json.loads("\n".join(lfield("ps", *team, "--json", env=alone).out))
+    print(f"{kind}: beats were late by {status['alpha']['late']} s at most, a stop took {elapsed:.2f} s")
     assert "the host was silent" not in alpha.said

@@ -43,7 +43,7 @@ def routers():
 def started(lfield, deployment: Path, inventory: Path, *options: object):
     """Both hosts, with keys."""
     lfield.keys.give("alpha", "bravo")
-    words = (
+    arguments = (
         "up",
         "--deploy",
         deployment,
@@ -53,7 +53,7 @@ def started(lfield, deployment: Path, inventory: Path, *options: object):
         "--first-start",
         *options,
     )
-    return [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+    return [lfield.start(*arguments, "--host", name) for name in ("alpha", "bravo")]
 
 
 @pytest.mark.few(0)
@@ -90,10 +90,10 @@ def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield,
         "resource Post { init(string[] arg) { } }", "//Post:a@alpha\n//Post:b@bravo\n"
     )
     lfield.keys.give("alpha", "bravo")
-    words = ("up", "--deploy", deployment, "--inventory", inventory, "--first-start", "--host")
-    alpha = lfield.start(*words, "alpha")
+    arguments = ("up", "--deploy", deployment, "--inventory", inventory, "--first-start", "--host")
+    alpha = lfield.start(*arguments, "alpha")
     # Commands on alpha find no run of bravo.
-    bravo = lfield.start(*words, "bravo", env=alone)
+    bravo = lfield.start(*arguments, "bravo", env=alone)
     alpha.wait_for("link to bravo established")
     options = ("--inventory", inventory) if named else ()
     there = {"LFIELD_RUNS": "here"}
@@ -111,6 +111,6 @@ def test_a_command_without_the_zenoh_package_names_it(lfield) -> None:
     )
     lfield.keys.give("alpha", "bravo")
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
-    words = ("up", "--deploy", deployment, "--inventory", inventory, "--host", "alpha")
-    host = lfield(*words, env={"PYTHONPATH": str(lfield.folder)}, status=69)
+    arguments = ("up", "--deploy", deployment, "--inventory", inventory, "--host", "alpha")
+    host = lfield(*arguments, env={"PYTHONPATH": str(lfield.folder)}, status=69)
     assert len([line for line in host.err if "lfield[zenoh]" in line]) == 1

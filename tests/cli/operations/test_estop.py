@@ -180,9 +180,9 @@ def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
     )
     run.wait_for("flies")
     pressed = lfield("estop", env=own, status=0)
-    words = lines_of(pressed, "lead.fc")
-    assert (words[0], words[-1]) == ("safe", "at rest")
-    assert len(words) > 2
+    lines = lines_of(pressed, "lead.fc")
+    assert (lines[0], lines[-1]) == ("safe", "at rest")
+    assert len(lines) > 2
     assert run.wait() == 1
 
 
@@ -193,9 +193,9 @@ class Kept:
         devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
         deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Nobody:one@alpha\n", devices)
         state = lfield.folder / "state"
-        words = ("--deploy", deployment, "--host", "alpha", "--sim", "--state", state)
-        words += tuple(lfield.maps(["alpha"]))
-        self._start = lambda: lfield.start("up", *words, env=environment)
+        arguments = ("--deploy", deployment, "--host", "alpha", "--sim", "--state", state)
+        arguments += tuple(lfield.maps(["alpha"]))
+        self._start = lambda: lfield.start("up", *arguments, env=environment)
         self.host = self._start()
         self.host.wait_for("flies")
         (self.journal,) = state.rglob("host.journal")
@@ -209,29 +209,29 @@ class Kept:
 
 @pytest.mark.few(0)
 def test_a_host_killed_and_started_again_is_still_stopped(lfield, own):
-    kept = Kept(lfield, own)
+    stored_run = Kept(lfield, own)
     pressed = lfield("estop", "--no-wait", "--reason", "a child on the field", env=own)
     assert (lfield.status(pressed), pressed.err) == (0, []), pressed.said
-    shown = lfield("inspect", kept.journal, env=own)
+    output = lfield("inspect", stored_run.journal, env=own)
     still = "the emergency stop was pressed: a child on the field"
-    assert f"stopped   until 'lfield estop --lift': {still}" in shown.out, shown.said
-    host = kept.killed_and_started()
+    assert f"stopped   until 'lfield estop --lift': {still}" in output.out, output.said
+    host = stored_run.killed_and_started()
     host.wait_for(f"EMERGENCY STOP still active: {still}; end it with 'lfield estop --lift'")
     host.wait_for(f"lead.fc in safe state 'land': {still}")
     host.wait_for(f"lead died of an uncaught DeviceException: fc: held in its safe state: {still}")
     assert f'"lead.fc": "{still}"' in lfield("ps", "--json", env=own).said
     lifted = lfield("estop", "--lift", env=own)
     assert (lfield.status(lifted), lifted.out[-1]) == (0, "alpha: lead.fc: may be released"), lifted.said
-    assert "stopped" not in lfield("inspect", kept.journal, env=own).said
-    host = kept.killed_and_started()
+    assert "stopped" not in lfield("inspect", stored_run.journal, env=own).said
+    host = stored_run.killed_and_started()
     host.wait_for("flies")
     assert "EMERGENCY" not in host.said
 
 
 @pytest.mark.few(0)
 def test_a_stop_that_cannot_be_stored_is_reported(lfield, own):
-    kept = Kept(lfield, own)
-    resource.prlimit(kept.host.pid, resource.RLIMIT_FSIZE, (0, 0))
+    stored_run = Kept(lfield, own)
+    resource.prlimit(stored_run.host.pid, resource.RLIMIT_FSIZE, (0, 0))
     pressed = lfield("estop", "--no-wait", env=own)
     assert "alpha: lead.fc: safe" in pressed.out, pressed.said
     assert re.fullmatch(
@@ -261,18 +261,18 @@ def test_undecodable_bytes_do_not_prevent_commands_to_a_running_mission(lfield, 
     team.wait_for("läutet")
     lfield("estop", "--no-wait", "--reason", "gr\udcf6\udcdfe", env=own, status=0)
     team.wait_for(r"EMERGENCY STOP by .*: the emergency stop was pressed: gr\\u\{dcf6\}\\u\{dcdf\}e")
-    for words in (["estop", "--lift", "--reason", "\udcff"], ["pause"], ["resume"], ["ps"]):
-        lfield(*words, env=own, status=0)
-    for words in (["logs"], ["events", "--no-follow"]):
-        result = lfield(*words, env=own | ASCII, status=0)
+    for arguments in (["estop", "--lift", "--reason", "\udcff"], ["pause"], ["resume"], ["ps"]):
+        lfield(*arguments, env=own, status=0)
+    for arguments in (["logs"], ["events", "--no-follow"]):
+        result = lfield(*arguments, env=own | ASCII, status=0)
         assert r"l\u{e4}utet" in result.said
-    for words in (
+    for arguments in (
         ["forget", "\udcff"],
         ["recover", "\udcff"],
         ["events", "--host", "\udcff"],
         ["ps", "--run", "\udcff"],
     ):
-        result = lfield(*words, env=own, status=64)
+        result = lfield(*arguments, env=own, status=64)
         assert r"\u{dcff}" in result.said
 
 

@@ -52,21 +52,21 @@ def of(kind: str, whole: list[dict]) -> list[dict]:
 
 
 def test_all_events_come_in_one_order_with_their_causes(walk, here):
-    shown = here("events", "--deploy", walk.deployment, "--json", "--no-follow", status=exit_status.DONE)
-    whole = [json.loads(line) for line in shown.out]
-    assert {event["host"] for event in whole} == {"alpha", "beta"}
-    assert all(before["time"] <= after["time"] + 1e-9 for before, after in pairwise(of("came", whole)))
-    places = {(e["host"], e["incarnation"], e["number"]): n for n, e in enumerate(whole)}
-    came = of("came", whole)
-    assert len(came) >= 4
-    for event in came:
+    output = here("events", "--deploy", walk.deployment, "--json", "--no-follow", status=exit_status.DONE)
+    events = [json.loads(line) for line in output.out]
+    assert {event["host"] for event in events} == {"alpha", "beta"}
+    assert all(before["time"] <= after["time"] + 1e-9 for before, after in pairwise(of("came", events)))
+    places = {(e["host"], e["incarnation"], e["number"]): n for n, e in enumerate(events)}
+    arrivals = of("came", events)
+    assert len(arrivals) >= 4
+    for event in arrivals:
         cause = event["caused_by"]
         place = places[cause["host"], cause["incarnation"], cause["number"]]
-        assert whole[place]["kind"] == "left"
+        assert events[place]["kind"] == "left"
         assert place < places[event["host"], event["incarnation"], event["number"]]
     # All hosts use the clock of one computer, so the reported clocks must be equal.
-    assert all((event["within"] or 0.0) < 0.5 for event in whole)
-    assert all(abs(event["time"] - event["at"]) <= (event["within"] or 0.0) + 0.01 for event in whole)
+    assert all((event["within"] or 0.0) < 0.5 for event in events)
+    assert all(abs(event["time"] - event["at"]) <= (event["within"] or 0.0) + 0.01 for event in events)
 
 
 def test_new_events_are_printed_until_ctrl_c(walk, lfield):
@@ -96,10 +96,10 @@ def test_telemetry_and_hops_make_a_table(walk, lfield):
 
 
 def test_logs_have_the_lines_of_all_hosts_and_end(walk, here):
-    shown = here("logs", "--deploy", walk.deployment, status=exit_status.DONE)
-    lines = [line.partition(" | ")[2] for line in shown.out]
-    visits = [line for line in lines if "visit" in line]
-    assert visits[:4] == ["p: visit 0", "q: visit 1", "p: visit 2", "q: visit 3"]
+    output = here("logs", "--deploy", walk.deployment, status=exit_status.DONE)
+    lines = [line.partition(" | ")[2] for line in output.out]
+    visit_lines = [line for line in lines if "visit" in line]
+    assert visit_lines[:4] == ["p: visit 0", "q: visit 1", "p: visit 2", "q: visit 3"]
     assert any("listening on" in line for line in lines)
 
 
@@ -125,15 +125,15 @@ def nth(watcher, text: str, count: int) -> None:
 def test_a_host_killed_and_started_again_is_reported_and_followed(lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     maps = lfield.maps(["alpha", "beta"])
-    words = ("up", "--deploy", deployment, *maps, "--sim")
-    alpha = lfield.start(*words, "--host", "alpha")
-    beta = lfield.start(*words, "--host", "beta")
+    arguments = ("up", "--deploy", deployment, *maps, "--sim")
+    alpha = lfield.start(*arguments, "--host", "alpha")
+    beta = lfield.start(*arguments, "--host", "beta")
     watcher = lfield.start("logs", "-f", "--deploy", deployment, *maps)
     watcher.wait_for(r"alpha \| p: visit")
     watcher.wait_for(r"beta \| q: visit")
     beta.signal(signal.SIGKILL)
     watcher.wait_for("beta: unreachable: ")
-    again = lfield.start(*words, "--host", "beta")
+    again = lfield.start(*arguments, "--host", "beta")
     watcher.wait_for("beta: reachable again")
     watcher.wait_for("beta: restarted")
     again.wait_for("listening on")
@@ -181,8 +181,8 @@ def recorders(walk, shared_lfield):
     found = {}
     for name in ("ended", "killed"):
         file = shared_lfield.folder / f"{name}.mcap"
-        words = ("--json", "--mcap", file, "--rate", "10")
-        found[name] = shared_lfield.start("events", "--deploy", walk.deployment, *words), file
+        arguments = ("--json", "--mcap", file, "--rate", "10")
+        found[name] = shared_lfield.start("events", "--deploy", walk.deployment, *arguments), file
     for recorder, _ in found.values():
         recorder.wait_for('"kind":"hopped"')
         recorder.wait_for('"kind":"measured"')
@@ -285,8 +285,8 @@ def test_lines_dropped_for_their_rate_are_counted_for_every_reader(lfield):
     table = lfield("events", "--deploy", deployment, "--csv", "--no-follow", status=exit_status.DONE)
     left = len([row for row in csv.DictReader(table.out) if row["kind"] == "left"])
     assert skipped(table.err, "left") == 399 - left > 0
-    shown = lfield("events", "--deploy", deployment, "--no-follow", status=exit_status.DONE)
-    assert any("skipped  skipped=left  count=" in line for line in shown.out)
+    output = lfield("events", "--deploy", deployment, "--no-follow", status=exit_status.DONE)
+    assert any("skipped  skipped=left  count=" in line for line in output.out)
 
 
 @pytest.mark.few(0)

@@ -97,12 +97,12 @@ def test_a_flood_costs_little_memory_and_blocks_no_peer(lfield, start):
     before = peak(alpha.pid)
     port = int(maps[1].rpartition(":")[2])
     with Flood(port, STARTS[start]) as flood:
-        began = flood.called, time.monotonic()
+        started = flood.called, time.monotonic()
         lfield.start(*up, "bravo")
         alpha.wait_for("greeted")
         alpha.wait_for("link to bravo established")
         lfield("ps", "--deploy", deployment, *maps, status=0)
-        rate = (flood.called - began[0]) / (time.monotonic() - began[1])
+        rate = (flood.called - started[0]) / (time.monotonic() - started[1])
     cost = peak(alpha.pid) - before
     print(f"{flood.called} connections that do not greet, {rate:.0f} / s: {cost / 1024:.1f} MiB more")
     assert cost < MOST

@@ -26,9 +26,9 @@ def run(monkeypatch, capsys, before: dict, answers: dict):
     def told(parties, request, keys):
         return before if request is client.SNAPSHOT else answers
 
-    party = TargetTeam((), {"alpha": "alpha:8181", "bravo": "bravo:8181"})
+    team = TargetTeam((), {"alpha": "alpha:8181", "bravo": "bravo:8181"})
     monkeypatch.setattr(forget, "selected_runs", lambda args: [])
-    monkeypatch.setattr(forget, "selected_teams", lambda args, runs: [party])
+    monkeypatch.setattr(forget, "selected_teams", lambda args, runs: [team])
     monkeypatch.setattr(client, "ask_teams", told)
     try:
         end = forget.run(argparse.Namespace(agent="tom", keys=None))
@@ -55,8 +55,8 @@ def test_discarded_copies_and_silent_hosts_are_reported(monkeypatch, capsys):
 
 def test_a_copy_discarded_with_all_hosts_answering_is_a_success(monkeypatch, capsys):
     answers = {ALPHA: ForgetResponse([1]), BRAVO: ForgetResponse([])}
-    told = run(monkeypatch, capsys, IN_DOUBT, answers)
-    assert told == (0, "alpha: tom, start 1, is given up as lost\n", "")
+    output = run(monkeypatch, capsys, IN_DOUBT, answers)
+    assert output == (0, "alpha: tom, start 1, is given up as lost\n", "")
 
 
 @pytest.mark.parametrize("other", [SILENT, ForgetResponse([])])
@@ -71,7 +71,7 @@ def test_a_forget_without_a_discarded_copy_is_reported(monkeypatch, capsys, othe
 
 
 def test_without_any_answer_nothing_is_claimed(monkeypatch, capsys):
-    nobody = {ALPHA: SILENT, BRAVO: SILENT}
-    error, out, said = run(monkeypatch, capsys, nobody, nobody)
+    silent = {ALPHA: SILENT, BRAVO: SILENT}
+    error, out, prompts = run(monkeypatch, capsys, silent, silent)
     assert (str(error), out) == ("no host has answered: it is unknown whether a copy of tom was given up", "")
-    assert said.count("no answer; a copy of tom there would continue") == 2
+    assert prompts.count("no answer; a copy of tom there would continue") == 2

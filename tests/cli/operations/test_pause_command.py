@@ -37,14 +37,14 @@ DEVICES = f"agents: {{lead: {{devices: {{fc: {{{COPTER}, system: 1}}}}}}}}\n"
 
 def test_a_paused_copter_lands_and_flies_again(lfield, own, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
-    words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
-    host = lfield.start(*words, env=own)
+    arguments = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
+    host = lfield.start(*arguments, env=own)
     host.wait_for("flies 1")
     paused = here("pause", env=own, status=0)
     assert "alpha: lead.fc: safe" in paused.said
-    shown = here("ps", env=own)
-    assert "paused: alpha; 'lfield resume' resumes the mission" in shown.said
-    assert "safe, at rest" in shown.said
+    output = here("ps", env=own)
+    assert "paused: alpha; 'lfield resume' resumes the mission" in output.said
+    assert "safe, at rest" in output.said
     here("estop", "--no-wait", env=own, status=0)
     barred = here("resume", env=own, status=0)
     assert "lead.fc: the emergency stop was pressed" in barred.said
@@ -54,8 +54,8 @@ def test_a_paused_copter_lands_and_flies_again(lfield, own, here):
 @pytest.mark.few(0)
 def test_a_paused_device_is_released_and_flies_again(lfield, own):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
-    words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
-    host = lfield.start(*words, env=own)
+    arguments = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
+    host = lfield.start(*arguments, env=own)
     host.wait_for("flies 1")
     lfield("pause", env=own, status=0)
     lfield("resume", env=own, status=0)
@@ -66,8 +66,8 @@ def test_a_paused_device_is_released_and_flies_again(lfield, own):
 @pytest.mark.few(0)
 def test_an_unreached_host_is_named(lfield, own):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
-    words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
-    host = lfield.start(*words, env=own)
+    arguments = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
+    host = lfield.start(*arguments, env=own)
     host.wait_for("flies 1")
     ghost = lfield.write("ghost.dL", DEPLOYMENT.replace("alpha", "ghost"))
     lfield.write("ghost.L", PROGRAM)
@@ -79,8 +79,8 @@ def test_an_unreached_host_is_named(lfield, own):
 def test_a_device_not_at_rest_in_time_is_named_and_its_host_is_paused(lfield, own):
     high = PROGRAM.replace("fc.takeoff(2.0)", "fc.takeoff(8.0)")
     deployment = lfield.mission(high, DEPLOYMENT, DEVICES.replace("waivers", "rest_within: 1, waivers"))
-    words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
-    host = lfield.start(*words, env=own)
+    arguments = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
+    host = lfield.start(*arguments, env=own)
     host.wait_for("flies 1")
     paused = lfield("pause", env=own, status=3)
     assert "alpha: lead.fc: safe" in paused.out

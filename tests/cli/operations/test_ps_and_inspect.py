@@ -51,17 +51,17 @@ def mission(shared_lfield):
 
 
 def test_the_table_shows_agents_and_their_hosts(mission, here):
-    shown = here("ps", "--deploy", mission.deployment, status=0)
-    assert shown.out[0].split()[:6] == ["HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED"]
-    rows = {line.split()[1]: line for line in shown.out[1 : shown.out.index("")]}
+    output = here("ps", "--deploy", mission.deployment, status=0)
+    assert output.out[0].split()[:6] == ["HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED"]
+    rows = {line.split()[1]: line for line in output.out[1 : output.out.index("")]}
     assert re.match(r"alpha +near +Post +parked +1 +[\d.]+ (Ki)?B", rows["near"])
     assert re.match(r"bravo +far +Post +sleeping +0 +[\d.]+ (Ki)?B", rows["far"])
     assert re.match(r"bravo +tom +Guest +in a portal +1 +[\d.]+ (Ki)?B", rows["tom"])
 
 
 def told_as_json(mission, here):
-    shown = here("ps", "--deploy", mission.deployment, "--json", status=0)
-    return json.loads("\n".join(shown.out))
+    output = here("ps", "--deploy", mission.deployment, "--json", status=0)
+    return json.loads("\n".join(output.out))
 
 
 def test_the_team_is_shown_as_json(mission, here):
@@ -299,9 +299,9 @@ def test_reservations_are_shown_with_their_remaining_time(capsys):
 
 
 def test_pending_calls_are_shown(capsys):
-    begun = [PendingCallStatus("tom", 1, "near", "lift", state) for state in ("running", "done", "lost")]
+    pending = [PendingCallStatus("tom", 1, "near", "lift", state) for state in ("running", "done", "lost")]
     status = Status(
-        "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], pending_calls=begun
+        "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], pending_calls=pending
     )
     data = json.loads(json.dumps(status_data(states_of({"alpha": status}))))
     assert data["alpha"]["begun"][0] == {
@@ -323,9 +323,9 @@ def test_pending_calls_are_shown(capsys):
 def test_a_mission_that_does_not_run_has_a_status(lfield, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"))
     maps = lfield.maps(["alpha", "bravo"])
-    shown = here("ps", "--deploy", deployment, *maps, status=69)
-    assert (shown.out, shown.err[1:]) == ([], []), shown.err
-    (line,) = shown.err
+    output = here("ps", "--deploy", deployment, *maps, status=69)
+    assert (output.out, output.err[1:]) == ([], []), output.err
+    (line,) = output.err
     assert line.startswith(f"lfield: {deployment} is not running: ")
     result = here("ps", "--deploy", deployment, "--json", *maps, status=69)
     data = json.loads("\n".join(result.out))
@@ -371,12 +371,12 @@ def died(shared_lfield):
 def test_a_dead_agent_is_dumped_and_explained(lfield, died, here):
     assert lfield.status(died) == 1
     assert "bravo | tom dumped: read it with 'lfield inspect dumps/tom.block'" in died.err
-    shown = here("inspect", died.dump, status=0)
-    text = "\n".join(shown.out)
+    output = here("inspect", died.dump, status=0)
+    text = "\n".join(output.out)
     assert "agent     tom (coordinator Careless)" in text
     assert "on        bravo, after 1 hop(s): alpha → bravo" in text
     assert "why       IndexException" in text
-    stack = [line.split(")")[0] for line in shown.out if line.startswith("  at ")]
+    stack = [line.split(")")[0] for line in output.out if line.startswith("  at ")]
     assert stack == ["  at Careless.spend (faulty.L:21", "  at Careless.init (faulty.L:17"]
     assert "purse[n + 4] = 1;" in text
     assert "spend(counted, new int[5]);" in text
@@ -393,9 +393,9 @@ def test_a_dead_agent_is_dumped_and_explained(lfield, died, here):
 def test_a_damaged_dump_is_refused(lfield, here, died, damage):
     data = died.dump.read_bytes()
     path = lfield.write("tom.block", data[: len(data) // 2] + damage * (len(data) // 2))
-    shown = here("inspect", path, status=65)
-    assert (shown.out, shown.err[1:]) == ([], []), shown.err
-    assert "tom.block" in shown.err[0]
+    output = here("inspect", path, status=65)
+    assert (output.out, output.err[1:]) == ([], []), output.err
+    assert "tom.block" in output.err[0]
 
 
 @pytest.mark.few(0)

@@ -47,14 +47,14 @@ def test_ps_shows_a_startable_coordinator_before_while_and_after_it_runs(lfield,
         SEQUENCES, "//Desk:desk@alpha\nstartable Patrol:patrol@alpha\n//Planner:planner@alpha\n"
     )
     run = lfield.start("up", "--deploy", deployment, "--host", "alpha", "--until-done", stdin=True)
-    shown = []
+    output = []
     for question in ("first", "second", "third"):
         run.wait_for(rf"{question}\?")
         if question == "second":
             run.wait_for("stays")
         table = here("ps", "--deploy", deployment, status=0)
-        shown += [line.split()[2:4] for line in table.out if line.startswith("alpha  patrol")]
+        output += [line.split()[2:4] for line in table.out if line.startswith("alpha  patrol")]
         run.popen.stdin.write(b"\n")
         run.popen.stdin.flush()
-    assert shown == [["startable"], ["Patrol", "in"], ["done:", "stopped"]]
+    assert output == [["startable"], ["Patrol", "in"], ["done:", "stopped"]]
     assert run.wait() == 0

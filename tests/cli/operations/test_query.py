@@ -50,10 +50,10 @@ def ask(folder, capsys):
 
     def asked(query: str, *options: str) -> tuple[int, list[str], list[str]]:
         status = main(["query", query, "--deploy", "mission.dL", "--files", *options])
-        said = capsys.readouterr()
-        assert "a bug in lfield" not in said.err
-        lines = [re.sub(r"\b0\.\d{3}\b", "0.xxx", line).rstrip() for line in said.out.splitlines()]
-        return status, lines, said.err.splitlines()
+        output = capsys.readouterr()
+        assert "a bug in lfield" not in output.err
+        lines = [re.sub(r"\b0\.\d{3}\b", "0.xxx", line).rstrip() for line in output.out.splitlines()]
+        return status, lines, output.err.splitlines()
 
     return asked
 
@@ -65,7 +65,7 @@ def test_a_mission_without_a_query_is_not_used_as_the_query(words: str, folder, 
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         "--files Lift mission.dL",
         "Lift --files mission.dL",
@@ -73,8 +73,8 @@ def test_a_mission_without_a_query_is_not_used_as_the_query(words: str, folder, 
         "Lift --team 2 mission.dL --files",
     ],
 )
-def test_the_mission_may_follow_an_option(words: str, folder, capsys) -> None:
-    assert main(["query", *words.split()]) == 0
+def test_the_mission_may_follow_an_option(arguments: str, folder, capsys) -> None:
+    assert main(["query", *arguments.split()]) == 0
     assert "arm1" in capsys.readouterr().out
 
 
@@ -158,9 +158,9 @@ def test_distances_depend_on_the_host_of_the_query(ask, capsys):
 
 def test_offers_are_printed_as_json(ask):
     status, out, _ = ask("Lift where payload >= 0.1", "--json")
-    whole = json.loads("\n".join(out).replace("0.xxx", "0.5"))
+    document = json.loads("\n".join(out).replace("0.xxx", "0.5"))
     assert status == 0
-    assert {k: v for k, v in whole.items() if k != "capabilities"} == {
+    assert {k: v for k, v in document.items() if k != "capabilities"} == {
         "query": "Lift where payload >= 0.1",
         "constraint": "payload >= 0.1",
         "source": "files",
@@ -168,7 +168,7 @@ def test_offers_are_printed_as_json(ask):
         "silent": {},
         "codes": {},
     }
-    (lift,) = whole["capabilities"]
+    (lift,) = document["capabilities"]
     assert (lift["primitive"], lift["id"]) == ("Lift", "skill.material_handling.lifting")
     first, _, third, fourth = lift["offers"]
     fields = {"primitive", "agent", "host", "kind", "rule", "score", "attributes", "parts"}
@@ -322,16 +322,16 @@ def ask_with(folder, monkeypatch, capsys):
         monkeypatch.setattr("lfield.operator.client.ask_teams", lambda parties, request, keys: answers)
         monkeypatch.setattr("lfield.operator.client.by_host", lambda answers, party: answers)
         status = main(["query", query, "--deploy", "mission.dL", *options])
-        said = capsys.readouterr()
-        return status, said.out.splitlines(), said.err.splitlines()
+        output = capsys.readouterr()
+        return status, output.out.splitlines(), output.err.splitlines()
 
     return asked
 
 
 def directory(**agents):
     facts = [
-        DirectoryEntry(agent, why, {name: AttributeReading(*fact) for name, fact in facts.items()}, {})
-        for agent, (why, facts) in agents.items()
+        DirectoryEntry(agent, reason, {name: AttributeReading(*fact) for name, fact in facts.items()}, {})
+        for agent, (reason, facts) in agents.items()
     ]
     return batch_of(Status("alpha", "", 0.0, b"", b"", [], [], [], [], facts))
 

@@ -44,30 +44,30 @@ def mission(shared_lfield):
 
 
 def test_the_running_team_answers(mission, here):
-    shown = here("query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain", status=0)
-    assert shown.out[0] == "from the running team: 2 of 2 hosts answered"
-    assert shown.out[4].split()[:4] == ["1", "arm1", "alpha", "direct"]
-    assert "  arm2: payload 1.2 < 2.0" in shown.out
+    output = here("query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain", status=0)
+    assert output.out[0] == "from the running team: 2 of 2 hosts answered"
+    assert output.out[4].split()[:4] == ["1", "arm1", "alpha", "direct"]
+    assert "  arm2: payload 1.2 < 2.0" in output.out
 
 
 def test_the_running_team_answers_as_json(mission, here):
-    shown = here("query", "Lift", "--deploy", mission.deployment, "--json", "--at", "bravo")
-    whole = json.loads("\n".join(shown.out))
-    assert (whole["source"], whole["answered"], whole["silent"]) == ("team", ["alpha", "bravo"], {})
-    assert {offer["agent"] for offer in whole["capabilities"][0]["offers"]} == {"arm1", "arm2"}
+    output = here("query", "Lift", "--deploy", mission.deployment, "--json", "--at", "bravo")
+    document = json.loads("\n".join(output.out))
+    assert (document["source"], document["answered"], document["silent"]) == ("team", ["alpha", "bravo"], {})
+    assert {offer["agent"] for offer in document["capabilities"][0]["offers"]} == {"arm1", "arm2"}
 
 
 @pytest.mark.few(0)
 def test_a_silent_host_is_named(mission, lfield, here):
     (map_, place) = lfield.maps(["bravo"])
-    shown = here("query", "Lift", "--deploy", mission.deployment, map_, place, status=0)
-    assert shown.out[0] == "from the running team: 1 of 2 hosts answered"
-    assert [line.partition(":")[0] for line in shown.err] == ["bravo"]
+    output = here("query", "Lift", "--deploy", mission.deployment, map_, place, status=0)
+    assert output.out[0] == "from the running team: 1 of 2 hosts answered"
+    assert [line.partition(":")[0] for line in output.err] == ["bravo"]
 
 
 @pytest.mark.few(0)
 def test_without_a_running_team_the_files_answer(mission, lfield, here):
     maps = lfield.maps(["alpha", "bravo"])
-    shown = here("query", "Lift", "--deploy", mission.deployment, *maps, status=0)
-    assert shown.out[0] == "from the files: nothing is running, live attributes are unknown"
-    assert shown.err == []
+    output = here("query", "Lift", "--deploy", mission.deployment, *maps, status=0)
+    assert output.out[0] == "from the files: nothing is running, live attributes are unknown"
+    assert output.err == []

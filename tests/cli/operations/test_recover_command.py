@@ -32,11 +32,11 @@ coordinator Tour {
 DEPLOYMENT = "//Post:near@alpha\n//Post:far@bravo\n//Tour:tom@alpha?near&far\n"
 
 
-def answered(answer: str, *words: object, **options) -> int:
+def answered(answer: str, *arguments: object, **options) -> int:
     """The status of a command at a terminal with this input."""
     terminal, end = pty.openpty()
     os.write(terminal, answer.encode())
-    command = [sys.executable, "-m", "lfield", *map(str, words)]
+    command = [sys.executable, "-m", "lfield", *map(str, arguments)]
     done = subprocess.run(command, stdin=end, capture_output=True, timeout=60, **options)
     os.close(terminal)
     os.close(end)

@@ -64,9 +64,9 @@ def test_all_runs_are_listed_and_stopped_without_arguments(lfield, own, mission)
         "up", "--deploy", other, "--host", "alpha", *lfield.maps(["alpha", "bravo"]), env=own
     )
     alone.wait_for("posted")
-    shown = lfield("ps", "--json", env=own, status=69)
-    found = json.loads("\n".join(shown.out))
-    hosts = [[run["hosts"] for run in party["runs"]] for party in found.values()]
+    output = lfield("ps", "--json", env=own, status=69)
+    found = json.loads("\n".join(output.out))
+    hosts = [[run["hosts"] for run in team["runs"]] for team in found.values()]
     assert hosts == [[["alpha", "bravo"]], [["alpha", "bravo"]], [["alpha"]]]
     first, second, third = found
     assert found[third]["hosts"]["alpha"]["host"] == "alpha"
@@ -103,11 +103,11 @@ def test_a_killed_run_is_removed_when_its_last_host_has_ended(lfield, own, missi
     run.popen.wait()
     assert lfield.all_ended()
     assert len(runs_left(own)) == 1
-    shown = here("ps", env=own)
-    assert (shown.status, shown.out) == (69, [])
-    (said,) = shown.err
-    assert said.startswith("lfield: no mission is running on this computer: searched ")
-    assert str(Path(own["XDG_RUNTIME_DIR"]) / "lfield") in said
+    output = here("ps", env=own)
+    assert (output.status, output.out) == (69, [])
+    (line,) = output.err
+    assert line.startswith("lfield: no mission is running on this computer: searched ")
+    assert str(Path(own["XDG_RUNTIME_DIR"]) / "lfield") in line
     assert runs_left(own) == []
 
 
@@ -126,8 +126,8 @@ def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
     alone = lfield.mission(PROGRAM, "//Post:near@alpha\n", name="alone")
     lfield.keys.put("me", lfield.keys.issue("person", "anna", Right.COMMAND))
     with_keys = ("--host", "alpha", "--first-start", "--volatile", *lfield.maps(["alpha", "bravo"]))
-    for words in ((mission, "--all"), (alone, "--host", "alpha"), (mission, *with_keys)):
-        refused = lfield("up", "--deploy", *words, env=own, status=73)
+    for arguments in ((mission, "--all"), (alone, "--host", "alpha"), (mission, *with_keys)):
+        refused = lfield("up", "--deploy", *arguments, env=own, status=73)
         assert refused.err == [
             f"lfield: cannot write {place}: it is not a folder; no command could find what runs, to stop it: "
             "set XDG_RUNTIME_DIR to another folder of your own, or remove what is in the way"

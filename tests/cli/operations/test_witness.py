@@ -24,8 +24,8 @@ def test_a_witness_runs_and_is_shown(lfield, here):
     # The coordinator does not need this host, so it may migrate before these links are established.
     for host in ("alpha", "bravo"):
         team.wait_for(rf"ground +\| link to {host} established")
-    shown = here("ps", "--deploy", deployment, status=0)
-    assert any(line.split() == ["ground", "-", "up,", "no", "agents"] for line in shown.out), shown.said
+    output = here("ps", "--deploy", deployment, status=0)
+    assert any(line.split() == ["ground", "-", "up,", "no", "agents"] for line in output.out), output.said
     hosts = json.loads("\n".join(here("ps", "--deploy", deployment, "--json").out))
     assert (hosts["ground"]["agents"], hosts["ground"]["linked"]) == ([], ["alpha", "bravo"])
 
@@ -33,8 +33,8 @@ def test_a_witness_runs_and_is_shown(lfield, here):
 def test_a_bundle_has_its_witness(lfield, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     here("build", deployment, status=0)
-    shown = here("inspect", "mission.lfm")
+    output = here("inspect", "mission.lfm")
     assert any(
-        line.startswith("host ground at ground:") and line.endswith(", a witness") for line in shown.out
+        line.startswith("host ground at ground:") and line.endswith(", a witness") for line in output.out
     )
-    assert "recovery of tom by a lease of 2 s among alpha, bravo and ground" in shown.out
+    assert "recovery of tom by a lease of 2 s among alpha, bravo and ground" in output.out

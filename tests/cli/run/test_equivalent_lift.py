@@ -19,10 +19,10 @@ def lifts_of(run: str) -> list[tuple[str, str]]:
     return re.findall(r"^(\w+) +\| foreman: the parcel went up by (.*) m$", run, re.M)
 
 
-def shown(lfield, alone, *words: str) -> str:
+def shown(lfield, alone, *arguments: str) -> str:
     """The output of Python, in the folder of the example."""
     environment = {**lfield.environment, **alone}
-    command = [sys.executable, *words]
+    command = [sys.executable, *arguments]
     done = subprocess.run(command, env=environment, cwd=DEMO.parent, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
@@ -32,10 +32,10 @@ def shown(lfield, alone, *words: str) -> str:
 
 @pytest.mark.few(0)
 def test_the_best_then_the_equivalent_then_the_composed_then_no_lift(lfield, alone):
-    said = shown(lfield, alone, str(DEMO))
-    runs = re.split(r"^Run \d: .*$", said, flags=re.M)[1:]
+    output = shown(lfield, alone, str(DEMO))
+    runs = re.split(r"^Run \d: .*$", output, flags=re.M)[1:]
     lifts = [lifts_of(run) for run in runs]
-    assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], said
+    assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], output
     # Crane and arm are exact, a copter is not.
     assert [height for lift in lifts for host, height in lift if host != "air"] == ["0.8", "0.8"]
     assert "(direct, " in runs[0]

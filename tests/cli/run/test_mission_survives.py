@@ -59,17 +59,17 @@ INTERVAL = 3.0
 def test_missions_with_killed_hosts_complete(lfield, alone):
     environment = {**lfield.environment, **alone}
     done = subprocess.run([sys.executable, str(RUN)], env=environment, capture_output=True, text=True)
-    said = done.stdout + done.stderr
-    assert done.returncode == 0, said
-    assert "Traceback" not in said
+    output = done.stdout + done.stderr
+    assert done.returncode == 0, output
+    assert "Traceback" not in output
     assert lfield.left() == []
     again, for_good = re.split("^quorum: a host that never .*$", done.stdout, flags=re.M)
     assert re.findall(r"^killed +(\w+)", again, re.M) == ["sky", "ground"]
-    told = re.findall(r"^told +(.*)", again, re.M)
+    lines = re.findall(r"^told +(.*)", again, re.M)
     # The portal of the call depends on the time of the kill and on the speed of the computer.
     for host, resource in (("sky", "scout"), ("ground", "truck")):
-        assert any(f"{host} restarted; this call may have begun ({resource}." in line for line in told)
-        assert any(line.startswith(f"{resource} has restarted since") for line in told)
+        assert any(f"{host} restarted; this call may have begun ({resource}." in line for line in lines)
+        assert any(line.startswith(f"{resource} has restarted since") for line in lines)
     # The truck's field was lost with its computer: it counts from one again, and counts each call once.
     assert re.findall(r"the truck has served (\d)", again) == ["1", "2"]
     assert len(re.findall("survivor: complete", again)) == 1
@@ -78,16 +78,16 @@ def test_missions_with_killed_hosts_complete(lfield, alone):
 
 def assert_completed_without(summary: str, said: str) -> None:
     """Assert that the work of the killed host is reported lost, and other hosts complete the rest."""
-    (gone,) = re.findall(r"^killed +(\w+) after .* permanently", summary, re.M)
+    (killed,) = re.findall(r"^killed +(\w+) after .* permanently", summary, re.M)
     ((heir, seconds),) = re.findall(r"^back +on (\w+), ([\d.]+) s after the kill", summary, re.M)
-    assert heir != gone
+    assert heir != killed
     assert float(seconds) > INTERVAL
     (lost,) = re.findall(r"^lost +(.*)", summary, re.M)
     assert re.findall(r"part (\d+) is in the box", lost) == ["7", "8"]
-    told = re.findall(r"^told +(.*)", summary, re.M)
-    assert told[0].startswith(f"clearer was recovered on {heir} from its departure for {gone}")
-    assert any(f"{gone} could not be reached" in line for line in told)
-    parts = re.findall(rf"^quorum {gone} +\| clearer: part (\d+)", said, re.M)
+    lines = re.findall(r"^told +(.*)", summary, re.M)
+    assert lines[0].startswith(f"clearer was recovered on {heir} from its departure for {killed}")
+    assert any(f"{killed} could not be reached" in line for line in lines)
+    parts = re.findall(rf"^quorum {killed} +\| clearer: part (\d+)", said, re.M)
     assert parts == ["1", "2", "3", "7", "8"]
     parts = re.findall(rf"^quorum {heir} +\| clearer: part (\d+)", said, re.M)
     assert parts == ["4", "5", "6", "7", "8", "9", "10", "11", "12"]

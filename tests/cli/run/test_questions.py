@@ -21,16 +21,16 @@ def test_only_yes_agrees_and_end_of_input_is_no_error(typed: bytes, agreed: bool
     keyboard, terminal = os.openpty()
     try:
         os.write(keyboard, typed)
-        asked = subprocess.run([sys.executable, "-c", ASK], stdin=terminal, capture_output=True, timeout=60)
+        process = subprocess.run([sys.executable, "-c", ASK], stdin=terminal, capture_output=True, timeout=60)
     finally:
         os.close(keyboard)
         os.close(terminal)
-    assert (asked.returncode, asked.stderr) == (10 + agreed, b"")
+    assert (process.returncode, process.stderr) == (10 + agreed, b"")
 
 
 def test_a_volatile_host_with_a_state_folder_is_refused(tmp_path, capsys) -> None:
     (tmp_path / "one.L").write_text("resource Post { init(string[] arg) { } }\n")
     (tmp_path / "one.dL").write_text("//Post:post@home\n")
-    words = ["up", str(tmp_path / "one.dL"), "--host", "home", "--volatile", "--state", str(tmp_path)]
-    assert main(words) == 64
+    arguments = ["up", str(tmp_path / "one.dL"), "--host", "home", "--volatile", "--state", str(tmp_path)]
+    assert main(arguments) == 64
     assert "--volatile runs without a journal, and --state names" in capsys.readouterr().err

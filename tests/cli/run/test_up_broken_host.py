@@ -59,8 +59,8 @@ def test_a_host_with_an_internal_error_ends_with_70_and_its_copter_lands(lfield)
     deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n", "silence: 2\n")
     lfield.write("broken/sitecustomize.py", BROKEN)
     path = {"PYTHONPATH": str(lfield.folder / "broken")}
-    words = ("up", "--deploy", deployment, "--host", "alpha", "--sim", *lfield.maps(["alpha"]))
-    host = lfield.start(*words, env=path)
+    arguments = ("up", "--deploy", deployment, "--host", "alpha", "--sim", *lfield.maps(["alpha"]))
+    host = lfield.start(*arguments, env=path)
     status = host.wait()
     assert status == 70, host.said
     assert "alpha stopped: bug in lfield: ZeroDivisionError: planted" in host.said

@@ -21,8 +21,8 @@ def run(lfield):
     """`run()`: run the mission to its end with `--dump dumps`."""
 
     def to_the_end():
-        words = ("up", "--deploy", lfield.mission(DIES, DEPLOYMENT), "--host", "alpha", "--until-done")
-        done = lfield(*words, *lfield.maps(["alpha"]), "--dump", "dumps", status=1)
+        arguments = ("up", "--deploy", lfield.mission(DIES, DEPLOYMENT), "--host", "alpha", "--until-done")
+        done = lfield(*arguments, *lfield.maps(["alpha"]), "--dump", "dumps", status=1)
         assert "ann: goes on" in done.err
         return done
 
@@ -54,13 +54,13 @@ def test_an_unusable_dump_folder_is_refused_before_the_start(lfield, here, kind)
     elsewhere.mkdir()
     if kind == "fifo":
         os.mkfifo(dumps)
-        why = "it is not a folder"
+        reason = "it is not a folder"
     elif kind == "link":
         dumps.symlink_to(elsewhere)
-        why = "it is a link; name its target instead"
+        reason = "it is a link; name its target instead"
     else:
         dumps.mkdir()
         dumps.chmod(0o777)
-        why = "others may write to the folder: run 'chmod go-w dumps', or name another"
+        reason = "others may write to the folder: run 'chmod go-w dumps', or name another"
     done = here("up", lfield.mission(DIES, DEPLOYMENT), "--all", "--until-done", "--dump", "dumps")
-    assert (done.status, done.err) == (73, [f"lfield: cannot write dumps: {why}"])
+    assert (done.status, done.err) == (73, [f"lfield: cannot write dumps: {reason}"])

@@ -71,13 +71,13 @@ def connect_as(host, name: str) -> socket.socket:
 
 def drain(sock: socket.socket) -> bytes:
     """The bytes of the host until it closes the connection."""
-    said = b""
+    received = b""
     try:
         while chunk := sock.recv(65536):
-            said += chunk
+            received += chunk
     except (ConnectionResetError, ssl.SSLEOFError):
         pass
-    return said
+    return received
 
 
 def frames(data: bytes) -> list:
@@ -131,8 +131,8 @@ def test_bad_bytes_of_a_host_close_one_link_and_are_logged(alpha, name):
 @pytest.mark.few(0)
 def test_a_truncated_frame_is_logged(alpha):
     with connect_as(alpha, "bravo") as sock:
-        whole = encode(Hello("observer", "observer", 0))
-        sock.sendall(whole[: len(whole) // 2])
+        hello = encode(Hello("observer", "observer", 0))
+        sock.sendall(hello[: len(hello) // 2])
         sock.shutdown(socket.SHUT_WR)
         drain(sock)
     await_close_line(alpha, "peer closed the link in the middle of a message")
@@ -146,12 +146,15 @@ def test_a_handshake_copied_from_another_host_is_refused(alpha):
         # The next message of the host may be in the same bytes.
         hello = frames(sock.recv(65536))[0]
     assert hello.host == "alpha"
-    for name, who in (("bravo", "host bravo calls itself alpha"), ("me", "operator may only send commands")):
+    for name, reason in (
+        ("bravo", "host bravo calls itself alpha"),
+        ("me", "operator may only send commands"),
+    ):
         with connect_as(alpha, name) as sock:
             sock.sendall(encode(hello))
-            said = frames(drain(sock))
-        assert who in said[-1].reason
-        alpha.wait_for(f"^link from 127[.]0[.]0[.]1 closed: handshake refused: .*{who}")
+            received = frames(drain(sock))
+        assert reason in received[-1].reason
+        alpha.wait_for(f"^link from 127[.]0[.]0[.]1 closed: handshake refused: .*{reason}")
 
 
 def test_a_repeated_error_of_a_peer_is_logged_once(alpha):

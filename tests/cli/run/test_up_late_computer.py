@@ -60,8 +60,8 @@ def test_a_simulated_team_survives_half_a_second_without_a_processor(lfield):
 @pytest.fixture
 def late(monkeypatch):
     """A computer that stalls for 0.12 s repeatedly."""
-    looks, told = itertools.count(), SystemClock.monotonic
-    late = staticmethod(lambda: told() + 0.12 * (next(looks) // 15))
+    polls, monotonic = itertools.count(), SystemClock.monotonic
+    late = staticmethod(lambda: monotonic() + 0.12 * (next(polls) // 15))
     monkeypatch.setattr(SystemClock, "monotonic", late)
 
 
@@ -71,11 +71,13 @@ def test_a_host_too_slow_for_its_bindings_does_not_start(here, lfield, monkeypat
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, HARDWARE)
     up = here("up", "--deploy", deployment, "--host", "alpha", *lfield.maps(["alpha", "bravo"]), status=69)
     # A really late computer may print more lines, before and after this one.
-    (said,) = [line for line in up.err if line.startswith("'silence: 0.1' is too short for this computer")]
+    (expected_lines,) = [
+        line for line in up.err if line.startswith("'silence: 0.1' is too short for this computer")
+    ]
     # More than 0.12 s, if the computer is really late during the measurement.
-    assert re.search(r"are up to [\d.]+ s late, and the shortest possible silence is ", said)
-    assert "reduce the load of this computer, give its guards real-time priority" in said
-    assert re.search(r"or write 'silence: [\d.]+' if ", said)
+    assert re.search(r"are up to [\d.]+ s late, and the shortest possible silence is ", expected_lines)
+    assert "reduce the load of this computer, give its guards real-time priority" in expected_lines
+    assert re.search(r"or write 'silence: [\d.]+' if ", expected_lines)
 
 
 @pytest.mark.few(0)
@@ -88,8 +90,11 @@ def test_ps_and_doctor_show_the_delay(lfield):
     assert data["alpha"]["silence"] == 2.0
     assert 0.0 <= data["alpha"]["late"] < 2.0
     assert (data["bravo"]["late"], data["bravo"]["silence"]) == (None, None)
-    shown = lfield("ps", "--deploy", deployment).out
-    assert any(line.split()[:3] == ["HOST", "HEARTBEAT", "DELAY"] for line in shown)
+    output = lfield("ps", "--deploy", deployment).out
+    assert any(line.split()[:3] == ["HOST", "HEARTBEAT", "DELAY"] for line in output)
     doctor = lfield("doctor")
-    said = ("ok      heartbeats to guards up to", "warning 'silence: 0.2' is too short for this computer")
-    assert any(line.startswith(said) for line in doctor.out), doctor.said
+    expected_lines = (
+        "ok      heartbeats to guards up to",
+        "warning 'silence: 0.2' is too short for this computer",
+    )
+    assert any(line.startswith(expected_lines) for line in doctor.out), doctor.said

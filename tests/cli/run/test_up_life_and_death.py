@@ -47,17 +47,17 @@ TWO_HOSTS = "//Post:near@alpha\n//Post:far@bravo\n//Traveller:tom@alpha?near&far
 def test_hosts_are_started_by_hand_in_any_order(lfield, order):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     maps = lfield.maps(["alpha", "bravo"])
-    words = ("up", "--deploy", deployment, *maps, "--until-done")
-    first = lfield.start(*words, "--host", order[0])
+    arguments = ("up", "--deploy", deployment, *maps, "--until-done")
+    first = lfield.start(*arguments, "--host", order[0])
     first.wait_for(f"{order[0]} listening on 127.0.0.1:")
-    second = lfield.start(*words, "--host", order[1])
+    second = lfield.start(*arguments, "--host", order[1])
     assert (first.wait(), second.wait()) == (0, 0)
     by_name = dict(zip(order, (first, second), strict=True))
     assert by_name["alpha"].out == ["near receives", "near lets go"] * 2
     assert by_name["bravo"].out == ["far receives", "far lets go"]
 
 
-#: tests/simulate/test_fleet_census.py tests the time-outs in virtual time.
+#: tests/simulate/test_fleet_liveness.py tests the time-outs in virtual time.
 @pytest.mark.few(0)
 def test_a_coordinator_on_a_killed_host_has_an_unknown_outcome(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
@@ -249,10 +249,10 @@ def test_a_port_in_use_is_reported_and_no_journal_is_made(lfield, tmp_path):
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     lfield.keys.give("alpha")
     state = ("--state", tmp_path / "state")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
-        words = ("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
-        hosts = [lfield(*words, *more, status=69) for more in ((), state, (*state, "--fresh"))]
+    with socket.create_server(("127.0.0.1", 0)) as occupied:
+        address = f"127.0.0.1:{occupied.getsockname()[1]}"
+        arguments = ("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
+        hosts = [lfield(*arguments, *more, status=69) for more in ((), state, (*state, "--fresh"))]
     remedy = "stop the program that has it, or choose another port"
     assert hosts[0].err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
     assert all("the port is in use" in host.said for host in hosts)
@@ -263,25 +263,25 @@ def test_a_port_in_use_is_reported_and_no_journal_is_made(lfield, tmp_path):
 def test_all_listens_at_the_map_and_else_on_free_ports(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     (port,) = lfield.ports.take(1)
-    words = ("up", "--deploy", deployment, "--all", "--until-done", "--map")
-    done = lfield(*words, f"bravo=127.0.0.1:{port}", status=0)
+    arguments = ("up", "--deploy", deployment, "--all", "--until-done", "--map")
+    done = lfield(*arguments, f"bravo=127.0.0.1:{port}", status=0)
     assert f"bravo | bravo listening on 127.0.0.1:{port}; state not saved" in done.err
     assert any(line.startswith("alpha | alpha listening on 127.0.0.1:") for line in done.err)
 
 
 @pytest.mark.few(0)
 def test_all_refuses_a_map_it_cannot_use(lfield):
-    words = ("up", "--deploy", lfield.mission(POSTS, "//Post:near@alpha\n"), "--all", "--map")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
-        used = lfield(*words, f"alpha={address}")
+    arguments = ("up", "--deploy", lfield.mission(POSTS, "//Post:near@alpha\n"), "--all", "--map")
+    with socket.create_server(("127.0.0.1", 0)) as occupied:
+        address = f"127.0.0.1:{occupied.getsockname()[1]}"
+        used = lfield(*arguments, f"alpha={address}")
     remedy = "stop the program that has it, or choose another port"
     assert used.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
     assert lfield.status(used) == 69
-    abroad = lfield(*words, "alpha=192.0.2.1:8181")
+    abroad = lfield(*arguments, "alpha=192.0.2.1:8181")
     assert "the address is not one of this machine" in abroad.err[0]
     assert lfield.status(abroad) == 69
-    unknown = lfield(*words, "alfa=127.0.0.1:8181")
+    unknown = lfield(*arguments, "alfa=127.0.0.1:8181")
     assert "the deployment has no host 'alfa'" in unknown.err[0]
     assert lfield.status(unknown) == 64
 

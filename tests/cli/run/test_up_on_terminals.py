@@ -26,10 +26,10 @@ DEPLOYMENT = "//Painter:painter@alpha\n//Boss:boss@alpha\n"
 SHOWN = r"\u{1b}[31mred\u{9b}2J\u{202e}\r"
 
 
-def on_a_terminal(lfield, *words: object) -> tuple[bytes, int]:
+def on_a_terminal(lfield, *arguments: object) -> tuple[bytes, int]:
     """The output of a command on a terminal, and its status; stderr is a file."""
     terminal, end = pty.openpty()
-    command = [sys.executable, "-P", "-m", "lfield", *map(str, words)]
+    command = [sys.executable, "-P", "-m", "lfield", *map(str, arguments)]
     process = subprocess.Popen(
         command, stdout=end, stderr=subprocess.DEVNULL, cwd=lfield.folder, env=lfield.environment
     )
@@ -48,13 +48,13 @@ def on_a_terminal(lfield, *words: object) -> tuple[bytes, int]:
 @pytest.mark.parametrize("options", [("--all",), ("--host", "alpha")])
 def test_a_program_cannot_control_the_terminal(lfield, options):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
-    words = ("up", "--deploy", deployment, *options, "--until-done")
-    out, status = on_a_terminal(lfield, *words)
+    arguments = ("up", "--deploy", deployment, *options, "--until-done")
+    out, status = on_a_terminal(lfield, *arguments)
     assert status == 0, out
     assert SHOWN in out.decode()
     assert not any(byte < 32 and byte not in b"\r\n\t" for byte in out)
     assert "\u009b" not in out.decode()
-    piped = lfield(*words, status=0)
+    piped = lfield(*arguments, status=0)
     assert "\x1b[31mred\x9b2J\u202e" in "\n".join(piped.out)
 
 
@@ -92,9 +92,19 @@ def test_typed_keys_do_not_move_the_live_table(lfield):
         'coordinator Boss { init(string[] arg) { print("begins"); sleep(1000.0); } }', "//Boss:boss@alpha\n"
     )
     terminal, end = pty.openpty()
-    words = (sys.executable, "-P", "-m", "lfield", "up", "--deploy", str(deployment), "--all", "--until-done")
+    arguments = (
+        sys.executable,
+        "-P",
+        "-m",
+        "lfield",
+        "up",
+        "--deploy",
+        str(deployment),
+        "--all",
+        "--until-done",
+    )
     process = subprocess.Popen(
-        [sys.executable, "-c", CONTROLLED, *words],
+        [sys.executable, "-c", CONTROLLED, *arguments],
         **dict.fromkeys(("stdin", "stdout", "stderr"), end),
         cwd=lfield.folder,
         env=lfield.environment | {"TERM": "xterm"},

@@ -32,8 +32,8 @@ def made(lfield, here):
     return make
 
 
-def refused(lfield, *words: str) -> str:
-    host = lfield("up", "mission.lfm", "--host", "alpha", *words, status=65)
+def refused(lfield, *arguments: str) -> str:
+    host = lfield("up", "mission.lfm", "--host", "alpha", *arguments, status=65)
     (line,) = host.err
     return line
 
@@ -43,15 +43,15 @@ def test_a_signed_bundle_runs_and_ps_shows_its_signer(lfield, here, made) -> Non
     maps = made("?stays")
     signed = here("sign", "mission.lfm")
     assert (signed.status, "signed by operator" in signed.err[0]) == (0, True)
-    words = ("up", "mission.lfm", *maps, "--first-start")
-    hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+    arguments = ("up", "mission.lfm", *maps, "--first-start")
+    hosts = [lfield.start(*arguments, "--host", name) for name in ("alpha", "bravo")]
     hosts[1].wait_for("^here$")
-    shown = here("ps", "mission.lfm", *maps)
+    output = here("ps", "mission.lfm", *maps)
     digest = re.search(r"bundle (\w{16})", signed.err[0])
     assert digest is not None
-    assert shown.status == 0, shown
+    assert output.status == 0, output
     pattern = rf"bundle {digest[1]}, signed by operator \d{{4}}-\d\d-\d\d \d\d:\d\d UTC: alpha, bravo"
-    assert re.fullmatch(pattern, shown.out[-1])
+    assert re.fullmatch(pattern, output.out[-1])
     data = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["bravo"]["bundle"]
     assert (data["digest"], data["signed_by"]) == (digest[1], "operator")
     assert abs(data["signed"] - time.time()) < 600.0
@@ -60,8 +60,8 @@ def test_a_signed_bundle_runs_and_ps_shows_its_signer(lfield, here, made) -> Non
 @pytest.mark.few(0)
 def test_a_mission_from_files_is_signed_by_its_user(lfield, made) -> None:
     maps = made()
-    words = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
-    hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+    arguments = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
+    hosts = [lfield.start(*arguments, "--host", name) for name in ("alpha", "bravo")]
     assert [host.wait() for host in hosts] == [0, 0]
     assert hosts[1].out == ["here"]
 
@@ -70,8 +70,8 @@ def test_a_bundle_without_a_valid_signature_does_not_run(lfield, here, made, tmp
     maps = made()
     assert "it is not signed: sign it with 'lfield sign'" in refused(lfield, *maps)
     # A person with only the operate right cannot sign, and their builds do not run either.
-    mine = lfield.keys.issue("person", "olga", Right.OPERATE)
-    lfield.keys.put("me", mine)
+    keys = lfield.keys.issue("person", "olga", Right.OPERATE)
+    lfield.keys.put("me", keys)
     here("sign", "mission.lfm", status=65)
     built = lfield("up", "--deploy", "mission.dL", "--host", "alpha", *maps, status=65)
     assert "it is not signed" in built.said
@@ -88,8 +88,8 @@ def test_a_refused_bundle_neither_creates_nor_discards_a_folder(lfield, here, ma
     assert "it is not signed" in refused(lfield, *maps, "--state", state)
     assert not state.exists()
     here("sign", "mission.lfm", status=0)
-    words = ("up", "mission.lfm", *maps, "--first-start", "--until-done", "--state", state, "--host")
-    assert [host.wait() for host in [lfield.start(*words, name) for name in ("alpha", "bravo")]] == [0, 0]
+    arguments = ("up", "mission.lfm", *maps, "--first-start", "--until-done", "--state", state, "--host")
+    assert [host.wait() for host in [lfield.start(*arguments, name) for name in ("alpha", "bravo")]] == [0, 0]
     journal = next(path for path in state.rglob("*") if path.is_file() and "alpha" in str(path))
     before = journal.stat().st_ino
     here("build", "mission.dL", status=0)
@@ -101,15 +101,15 @@ def test_a_refused_bundle_neither_creates_nor_discards_a_folder(lfield, here, ma
 def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")
-    words = ("up", "mission.lfm", *maps, "--until-done", "--first-start", "--devices", "robot.yaml")
+    arguments = ("up", "mission.lfm", *maps, "--until-done", "--first-start", "--devices", "robot.yaml")
     lfield.keys.put("me", lfield.keys.issue("person", "olga", Right.OPERATE))
-    unsigned = lfield(*words, "--host", "alpha", status=65)
+    unsigned = lfield(*arguments, "--host", "alpha", status=65)
     assert "it is not signed" in unsigned.said
     lfield.keys.put("me", lfield.keys.issue("person", "carl", Right.COMMAND))
     lfield.keys.sign(lfield.folder / "mission.lfm")
     lfield.keys.put("me", lfield.keys.issue("person", "olga", Right.OPERATE))
     # The other run has the devices of the bundle.
-    hosts = [lfield.start(*words, "--host", "alpha"), lfield.start(*words[:-2], "--host", "bravo")]
+    hosts = [lfield.start(*arguments, "--host", "alpha"), lfield.start(*arguments[:-2], "--host", "bravo")]
     assert [host.wait() for host in hosts] == [0, 0]
 
 
@@ -133,10 +133,10 @@ def test_signed_bundles_that_differ_in_bindings_do_not_link_and_both_are_stopped
 def test_hosts_that_build_from_files_may_have_their_own_devices(lfield, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")
-    words = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
+    arguments = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
     hosts = [
-        lfield.start(*words, "--host", "alpha"),
-        lfield.start(*words, "--host", "bravo", "--devices", "robot.yaml"),
+        lfield.start(*arguments, "--host", "alpha"),
+        lfield.start(*arguments, "--host", "bravo", "--devices", "robot.yaml"),
     ]
     assert [host.wait() for host in hosts] == [0, 0]
     assert hosts[1].out == ["here"]
@@ -159,5 +159,5 @@ def test_all_hosts_of_one_command_need_no_signature(lfield, here, made) -> None:
     made("?stays")
     team = lfield.start("up", "mission.lfm", "--all")
     team.wait_for(r"\| here$")
-    shown = " ".join(line.strip() for line in here("ps", "mission.lfm").out[-2:])
-    assert re.search("bundle .{16}, signed by the user who started it .*: alpha, bravo$", shown)
+    last_lines = " ".join(line.strip() for line in here("ps", "mission.lfm").out[-2:])
+    assert re.search("bundle .{16}, signed by the user who started it .*: alpha, bravo$", last_lines)

@@ -84,21 +84,23 @@ def test_a_host_with_unread_output_continues_to_fly_and_answers(lfield, alone, u
     reading, writing = unread
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     maps = [] if everything else lfield.maps(["alpha"])
-    words = ("--deploy", deployment, *maps)
+    arguments = ("--deploy", deployment, *maps)
     which = ("--all",) if everything else ("--host", "alpha")
-    team = lfield.start("up", *words, *which, "--sim", stdout=writing, stderr=writing, env=alone)
+    team = lfield.start("up", *arguments, *which, "--sim", stdout=writing, stderr=writing, env=alone)
     filled(reading)
 
-    result = lfield("ps", *words, env=alone, status=0)
+    result = lfield("ps", *arguments, env=alone, status=0)
     assert "safe state" not in result.said
 
-    pressed = lfield("estop", *words, "--no-wait", "--reason", "the output is not read", env=alone, status=0)
+    pressed = lfield(
+        "estop", *arguments, "--no-wait", "--reason", "the output is not read", env=alone, status=0
+    )
     assert pressed.out == ["alpha: lead.fc: safe"]
 
     lines = read_some(reading)
     assert any(re.search(rb"[1-9][0-9]* line\(s\) (of program output )?missing", line) for line in lines)
-    said = [line for line in lines if b"..." in line and b"missing" not in line]
-    assert all(line.endswith(b" end") for line in said), "a line is incomplete"
+    lines_with_text = [line for line in lines if b"..." in line and b"missing" not in line]
+    assert all(line.endswith(b" end") for line in lines_with_text), "a line is incomplete"
 
     filled(reading)
     before = time.monotonic()

@@ -10,14 +10,14 @@ from groups import Group
 @pytest.fixture
 def flight(alone, lfield):
     """`flight(**options)`: a flying copter with its own host."""
-    made: list[Flight] = []
+    flights: list[Flight] = []
 
     def begin(**options) -> Flight:
-        made.append(Flight(lfield, alone, **options))
-        return made[-1]
+        flights.append(Flight(lfield, alone, **options))
+        return flights[-1]
 
     yield begin
-    for flown in made:
+    for flown in flights:
         flown.witness.close()
     lfield.end()
 
@@ -25,13 +25,13 @@ def flight(alone, lfield):
 @pytest.fixture
 def bounded(lfield):
     """`bounded(controller)`: a control group for processes of this test."""
-    made: list[Group] = []
+    groups: list[Group] = []
 
     def begin(controller: str) -> Group:
-        made.append(Group(controller))
-        return made[-1]
+        groups.append(Group(controller))
+        return groups[-1]
 
     yield begin
     lfield.end()
-    for group in made:
+    for group in groups:
         group.remove()

@@ -41,7 +41,7 @@ def devices(endpoints: dict[str, str], within: float, heap: str = "1 MiB") -> st
 
 def copter(lfield, environment, land=BRISK) -> str:
     """The endpoint of a fake that runs until the test ends."""
-    words = (
+    arguments = (
         "sim",
         "mavlink",
         "--listen",
@@ -51,7 +51,7 @@ def copter(lfield, environment, land=BRISK) -> str:
         *CLIMB,
         *land,
     )
-    return lfield.start(*words, stdin=True, env=environment).wait_for(r"^ready (\S+)")[1]
+    return lfield.start(*arguments, stdin=True, env=environment).wait_for(r"^ready (\S+)")[1]
 
 
 def landed(witness: MavlinkObserver, bound: float = BOUND) -> None:
@@ -116,13 +116,13 @@ class Flight:
             assert time.monotonic() < end, self.host.said
             time.sleep(0.05)
 
-    def ask(self, *words: str):
+    def ask(self, *arguments: str):
         """Send a command to the host; returns its output and exit status."""
-        return self._lfield(*words[:1], *self.command, *words[1:], env=self.environment)
+        return self._lfield(*arguments[:1], *self.command, *arguments[1:], env=self.environment)
 
     def fault(self, *settings: str) -> None:
-        told = self._lfield("sim", "fault", "mavlink", *settings, env=self.environment)
-        assert self._lfield.status(told) == 0, told.said
+        output = self._lfield("sim", "fault", "mavlink", *settings, env=self.environment)
+        assert self._lfield.status(output) == 0, output.said
 
     def is_down(self) -> None:
         """Assert that the copter is on the ground; the report of stopped motors may be one heartbeat late."""

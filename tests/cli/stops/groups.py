@@ -20,19 +20,19 @@ class Group:
 
     def __init__(self, controller: str) -> None:
         self._folder, self._limit = Path(), ""
-        name, why = f"lfield-test-{uuid.uuid4().hex[:12]}", f"there are no {controller} groups here"
+        name, reason = f"lfield-test-{uuid.uuid4().hex[:12]}", f"there are no {controller} groups here"
         for mount, limit in PLACES[controller]:
             folder = Path("/sys/fs/cgroup") / mount / name
             try:
                 folder.mkdir()
             except OSError as error:
-                why = f"no {controller} group may be made: {error}"
+                reason = f"no {controller} group may be made: {error}"
                 continue
             self._folder, self._limit = folder, limit
             if (folder / limit).exists():
                 return
             self.remove()
-        pytest.skip(why)
+        pytest.skip(reason)
 
     def bound(self, limit: int, *pids: int) -> None:
         """Add processes and set their common limit; a memory limit is in addition to their current use."""

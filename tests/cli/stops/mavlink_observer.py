@@ -77,8 +77,8 @@ class MavlinkObserver:
     def until(self, condition, bound: float = BOUND) -> None:
         """Wait until a condition of this observer holds."""
         with self._changed:
-            seen = self._changed.wait_for(lambda: condition(self), bound)
-        assert seen, f"mode {self.mode}, {'armed' if self.armed else 'not armed'}, {self.height:.1f} m up"
+            is_met = self._changed.wait_for(lambda: condition(self), bound)
+        assert is_met, f"mode {self.mode}, {'armed' if self.armed else 'not armed'}, {self.height:.1f} m up"
 
     def close(self) -> None:
         """Stop observing."""

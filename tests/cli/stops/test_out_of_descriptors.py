@@ -36,8 +36,8 @@ def starved(request, flight, lfield):
 
 def leave_descriptors(pid: int, spare: int) -> None:
     """Limit the free descriptors of a running process."""
-    taken = {int(entry.name) for entry in Path(f"/proc/{pid}/fd").iterdir()}
-    free = [number for number in range(len(taken) + spare + 1) if number not in taken]
+    used = {int(entry.name) for entry in Path(f"/proc/{pid}/fd").iterdir()}
+    free = [number for number in range(len(used) + spare + 1) if number not in used]
     _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (free[spare], hard))
 

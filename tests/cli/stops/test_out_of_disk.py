@@ -41,8 +41,8 @@ def test_a_full_disk_under_log_and_output_ends_no_flight_and_delays_no_stop(flig
     with open("/dev/full", "wb") as full:
         flown = flight(stdout=full, stderr=full)
     assert flies(flown.witness)
-    asked = flown.ask("ps")
-    assert "lead.fc" in asked.said
+    answer = flown.ask("ps")
+    assert "lead.fc" in answer.said
     flown.host.signal(number)
     assert flown.host.wait() == 0
     flown.is_down()
@@ -50,8 +50,8 @@ def test_a_full_disk_under_log_and_output_ends_no_flight_and_delays_no_stop(flig
 
 @pytest.mark.few(0)
 def test_a_dump_on_a_full_disk_is_reported_and_the_flight_continues(lfield, flight):
-    words = ("--dump", "dumps")
-    flown = flight(program=DYING, deployment=DEPLOYMENT + AGENTS, options=words)
+    arguments = ("--dump", "dumps")
+    flown = flight(program=DYING, deployment=DEPLOYMENT + AGENTS, options=arguments)
     fill(flown.host.pid)
     flown.host.wait_for("^tom not dumped to dumps/tom.block: cannot write dumps/tom.block: File too large")
     assert flies(flown.witness)
@@ -68,16 +68,16 @@ def test_a_team_that_cannot_store_its_manifest_does_not_fly(lfield, alone, optio
     endpoint = copter(lfield, alone)
     file = lfield.mission(PROGRAM, DEPLOYMENT.format(stay="1000"), devices({"lead": endpoint}, 60.0))
     lfield("build", file, status=0)
-    words = ("up", file.with_suffix(".lfm"), "--all", *options)
-    refused = lfield(*words, env=alone, preexec_fn=full_from_the_start, status=73)
+    arguments = ("up", file.with_suffix(".lfm"), "--all", *options)
+    refused = lfield(*arguments, env=alone, preexec_fn=full_from_the_start, status=73)
     assert "File too large; no command could find what runs, to stop it" in refused.said
 
 
 @pytest.mark.few(0)
 def test_a_mission_that_cannot_be_built_on_a_full_disk_is_one_sentence(lfield, alone):
     file = lfield.mission(PROGRAM + "\n", "//Copter:lead@alpha\n")
-    words = ("up", "--deploy", file, "--sim", "--host", "alpha", *lfield.maps(["alpha"]))
-    refused = lfield(*words, env=alone, preexec_fn=full_from_the_start)
+    arguments = ("up", "--deploy", file, "--sim", "--host", "alpha", *lfield.maps(["alpha"]))
+    refused = lfield(*arguments, env=alone, preexec_fn=full_from_the_start)
     assert lfield.status(refused) in (73, 74), refused.said
     assert "File too large" in refused.said
     assert "a bug in lfield" not in refused.said

@@ -72,9 +72,9 @@ class Leaking:
 
     def starve(self, bound: int) -> None:
         """Start the leak with a limit of additional bytes; 0 sets no limit."""
-        whole = self._file.with_suffix(".new")
-        whole.write_text(str(bound))
-        whole.rename(self._file)
+        new_file = self._file.with_suffix(".new")
+        new_file.write_text(str(bound))
+        new_file.rename(self._file)
 
     def lands(self) -> None:
         """Wait until the vehicle starts to land, and has landed."""

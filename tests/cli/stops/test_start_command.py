@@ -38,9 +38,9 @@ def maps(lfield, here):
 def test_a_start_waits_until_the_operator_leaves_out_the_missing_host(lfield, here, maps) -> None:
     alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
     alpha.wait_for(r"^tom not started: waiting for bravo \(no link yet\)")
-    shown = here("ps", "mission.lfm", *maps, status=69)
-    assert any(re.search(r"alpha +tom +waits for bravo to start", line) for line in shown.out)
-    assert any("alpha: tom is not started: waiting for bravo" in line for line in shown.out)
+    output = here("ps", "mission.lfm", *maps, status=69)
+    assert any(re.search(r"alpha +tom +waits for bravo to start", line) for line in output.out)
+    assert any("alpha: tom is not started: waiting for bravo" in line for line in output.out)
     data = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["alpha"]
     assert data["start"] == {"agents": ["tom"], "hosts": ["bravo"], "without": [], "held": ""}
     assert data["refused"] == []
@@ -49,8 +49,8 @@ def test_a_start_waits_until_the_operator_leaves_out_the_missing_host(lfield, he
     assert any("alpha: tom is not started: waiting for bravo" in line for line in waits.err)
     wrong = here("start", "mission.lfm", *maps, "--without", "brovo", status=64)
     assert "the mission has no host 'brovo': did you mean 'bravo'?" in wrong.err[0]
-    begun = here("start", "mission.lfm", *maps, "--without", "bravo")
-    assert (begun.status, begun.out) == (0, ["alpha: tom started"])
+    started = here("start", "mission.lfm", *maps, "--without", "bravo")
+    assert (started.status, started.out) == (0, ["alpha: tom started"])
     alpha.wait_for("^tom: begins$")
     assert here("start", "mission.lfm", *maps, "--without", "bravo").out == [
         "alpha: no coordinator waits to be started"
@@ -67,16 +67,16 @@ def test_a_host_with_an_old_bundle_is_named_by_the_printed_digests(lfield, here,
     bravo.wait_for("bravo listening ")
     lfield.mission(PROGRAM.replace("here", "there"), TEAM)
     built, signed = here("build", "mission.dL"), here("sign", "mission.lfm")
-    (new,) = {re.search(r"bundle (\w+)", said.err[0])[1] for said in (built, signed)}
+    (new,) = {re.search(r"bundle (\w+)", result.err[0])[1] for result in (built, signed)}
     assert new != old
     alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
-    why = f"alpha runs bundle {new} and bravo runs bundle {old}, which differ in their program"
+    reason = f"alpha runs bundle {new} and bravo runs bundle {old}, which differ in their program"
     also = f"bravo runs bundle {old} and alpha runs bundle {new}, which differ in their program"
-    alpha.wait_for(rf"^tom not started: waiting for bravo \(refused: ({why}|{also})")
-    bravo.wait_for(f"{why}|{also}")
-    shown = here("ps", "mission.lfm", *maps).out
-    assert any(re.match(f"alpha refuses bravo: ({why}|{also})", line) for line in shown), shown
-    assert {line.split(",")[0] for line in shown if line.startswith("bundle ")} == {
+    alpha.wait_for(rf"^tom not started: waiting for bravo \(refused: ({reason}|{also})")
+    bravo.wait_for(f"{reason}|{also}")
+    output = here("ps", "mission.lfm", *maps).out
+    assert any(re.match(f"alpha refuses bravo: ({reason}|{also})", line) for line in output), output
+    assert {line.split(",")[0] for line in output if line.startswith("bundle ")} == {
         f"bundle {new}",
         f"bundle {old}",
     }

@@ -61,9 +61,9 @@ def test_a_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here,
     # This is too short for the start of a process on a busy computer.
     flown.witness.until(lambda seen: seen.mode == "LAND" and seen.height < 1.8)
     result = here("ps", *flown.command, status=0)
-    shown = "\n".join(result.out)
-    assert "safe: " in shown
-    assert "m up, sinking at 0." in shown
+    output = "\n".join(result.out)
+    assert "safe: " in output
+    assert "m up, sinking at 0." in output
     assert flown.host.wait() == 0, flown.host.said
     flown.is_down()
     assert [mode for _, mode in flown.witness.modes][-1] == "LAND"

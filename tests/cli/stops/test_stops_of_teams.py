@@ -35,8 +35,8 @@ class Team:
     def __init__(self, lfield, environment, *, land=BRISK, **started):
         endpoints = {agent: copter(lfield, environment, land) for agent in ("lead", "wing")}
         file = lfield.mission(PROGRAM, DEPLOYMENT, devices(endpoints, 60.0))
-        words = ("up", "--deploy", file, "--all", "--until-done")
-        self.run = lfield.start(*words, env=environment, **started)
+        arguments = ("up", "--deploy", file, "--all", "--until-done")
+        self.run = lfield.start(*arguments, env=environment, **started)
         self.witnesses = [MavlinkObserver(endpoint) for endpoint in endpoints.values()]
         for witness in self.witnesses:
             witness.until(lambda seen: seen.height > 2.0 and seen.armed)
@@ -63,14 +63,14 @@ class Team:
 @pytest.fixture
 def team(alone, lfield):
     """`team(**options)`: two flying copters."""
-    made: list[Team] = []
+    teams: list[Team] = []
 
     def begin(**options) -> Team:
-        made.append(Team(lfield, alone, **options))
-        return made[-1]
+        teams.append(Team(lfield, alone, **options))
+        return teams[-1]
 
     yield begin
-    for flown in made:
+    for flown in teams:
         for witness in flown.witnesses:
             witness.close()
     lfield.end()

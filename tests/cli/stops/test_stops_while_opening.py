@@ -14,8 +14,8 @@ pytestmark = pytest.mark.process
 def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
     """The arguments of `up` for two copters: one at `lead`, one at an endpoint without an answer."""
     program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
-    nowhere = f"udp:127.0.0.1:{port}"
-    bound = devices({"lead": lead, "wing": nowhere} if lead else {"wing": nowhere}, 2.0)
+    endpoints = f"udp:127.0.0.1:{port}"
+    bound = devices({"lead": lead, "wing": endpoints} if lead else {"wing": endpoints}, 2.0)
     agents = ["//Copter:wing@alpha", *(["//Copter:lead@alpha"] if lead else [])]
     deployment = lfield.mission(program, "".join(f"{agent}\n" for agent in agents), bound)
     return ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha")
@@ -35,10 +35,10 @@ def test_a_device_that_was_only_queried_is_not_reported_unsafe(lfield, alone):
 @pytest.mark.few(0)
 def test_a_team_with_a_missing_port_ends_with_69_and_names_it(lfield, alone):
     """The other hosts are stopped while they wait for their devices: no device was commanded."""
-    taken = lfield.ports.take(2)
-    nowhere = {f"copter{n}": f"udp:127.0.0.1:{port}" for n, port in enumerate(taken)}
-    bound = devices({"lead": "serial:/none:57600", **nowhere}, 2.0)
-    agents = "".join(f"//Copter:{name}@{name}\n" for name in ("lead", *nowhere))
+    ports = lfield.ports.take(2)
+    endpoints = {f"copter{n}": f"udp:127.0.0.1:{port}" for n, port in enumerate(ports)}
+    bound = devices({"lead": "serial:/none:57600", **endpoints}, 2.0)
+    agents = "".join(f"//Copter:{name}@{name}\n" for name in ("lead", *endpoints))
     program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
     deployment = lfield.mission(program, agents, bound)
     team = lfield("up", deployment, "--all", "--until-done", env=alone, status=69)

@@ -48,7 +48,7 @@ def run_unread(monkeypatch, opened, words: list[str], event: threading.Event) ->
         patch.setattr(sys, "stderr", stuck)
         command = threading.Thread(target=lambda: status.append(main(words)), daemon=True)
         command.start()
-        came = event.wait(60.0)
+        is_set = event.wait(60.0)
         os.set_blocking(reading, False)
         is_over = False
         while not is_over:
@@ -58,26 +58,26 @@ def run_unread(monkeypatch, opened, words: list[str], event: threading.Event) ->
                 while True:
                     found += os.read(reading, 1 << 16)
             command.join(0.01)
-    return came, bytes(found), status[0]
+    return is_set, bytes(found), status[0]
 
 
 @unread
 @pytest.mark.parametrize("command", ["estop", "pause"])
 def test_all_hosts_are_ordered_though_the_output_is_unread(here_mission, opened, monkeypatch, command):
-    asked = threading.Event()
+    request_received = threading.Event()
 
     def ask_in_turn(teams, request, keys):
         first, *others = [place for team in teams for place in team.host_refs]
         yield {first: EmergencyStopResult(DEVICES)}
         yield {place: AddressError("nowhere", "no answer") for place in others}
-        asked.set()
+        request_received.set()
 
     monkeypatch.setattr(client, "ask_in_turn", ask_in_turn)
-    words = [command, "--deploy", str(here_mission), "--no-wait"]
-    went_on, said, status = run_unread(monkeypatch, opened, words, asked)
+    arguments = [command, "--deploy", str(here_mission), "--no-wait"]
+    went_on, lines, status = run_unread(monkeypatch, opened, arguments, request_received)
     assert went_on, "the command waits for its reader before all hosts have the order"
-    assert said.count(b": safe") == len(DEVICES), "output without a reader is lost"
-    assert said.count(b"NOT REACHED") == 1
+    assert lines.count(b": safe") == len(DEVICES), "output without a reader is lost"
+    assert lines.count(b"NOT REACHED") == 1
     assert status == 3
 
 

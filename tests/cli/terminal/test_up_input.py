@@ -74,9 +74,9 @@ def test_without_input_the_time_limit_ends_the_read(lfield, options):
 def test_a_host_with_closed_input_reads_nothing(lfield):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=0.5))
     command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "lfield"]
-    words = ["up", "--deploy", str(deployment), "--host", "alpha", "--until-done"]
+    arguments = ["up", "--deploy", str(deployment), "--host", "alpha", "--until-done"]
     ran = subprocess.run(
-        [*command, *words], cwd=lfield.folder, env=lfield.environment, timeout=60,
+        [*command, *arguments], cwd=lfield.folder, env=lfield.environment, timeout=60,
         capture_output=True, text=True,
     )  # fmt: skip
     assert ran.returncode == 0, ran.stderr

@@ -50,13 +50,13 @@ def test_the_command_ends_with_the_mission_and_its_status(program, status, outco
     mission = lfield.mission(program, deployment(outcome))
     team = lfield.start("up", "--deploy", mission, "--all", "--sim")
     team.wait_for("listening on")
-    words = ("events", "--deploy", mission, "--until-done")
-    watcher = lfield.start(*words, "--since", "0", "--kinds", "finished")
+    arguments = ("events", "--deploy", mission, "--until-done")
+    watcher = lfield.start(*arguments, "--since", "0", "--kinds", "finished")
     assert watcher.wait() == status, watcher.said
     assert f"walker: {outcome}" in "\n".join(watcher.err)
     assert len(watcher.out) == 1
     # The mission has ended before the command starts.
-    later = lfield.start(*words)
+    later = lfield.start(*arguments)
     assert later.wait() == status, later.said
     assert team.popen.poll() is None
 

@@ -17,7 +17,7 @@ from lfield.authority.identity import ALL_RIGHTS, Right
 from lfield.authority.web_ca.browser_ca import new_browser_ca
 from lfield.authority.web_ca.web_keys import write_web_keys
 
-ADDRESS, DAY, PATIENCE = "127.0.0.2", 86400.0, 60.0
+ADDRESS, DAY, TIMEOUT = "127.0.0.2", 86400.0, 60.0
 PROGRAM = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
 DEPLOYMENT = "//Bell:bell@alpha\n"
 
@@ -25,8 +25,8 @@ DEPLOYMENT = "//Bell:bell@alpha\n"
 def page_in(folder: Path, *names: str, begins: float = 60.0, ends: float = DAY) -> bytes:
     """Write the keys of a page to a folder; returns the root that browsers must trust."""
     root = new_browser_ca(1.0, time.time() + 9 * DAY)
-    made = root.issue(names or (ADDRESS,), at=time.time() - begins, ends=time.time() + ends)
-    write_web_keys(folder, made.certificate, made.key)
+    keys = root.issue(names or (ADDRESS,), at=time.time() - begins, ends=time.time() + ends)
+    write_web_keys(folder, keys.certificate, keys.key)
     return root.certificate
 
 
@@ -100,16 +100,16 @@ def answer_of(link: str, root: bytes, **headers: str) -> tuple[int, str]:
     """The answer to a browser that trusts a root, and its cookie."""
     address = urlsplit(link)
     context = ssl.create_default_context(cadata=root.decode())
-    made = http.client.HTTPSConnection(
-        address.hostname or "", address.port, context=context, timeout=PATIENCE
+    connection = http.client.HTTPSConnection(
+        address.hostname or "", address.port, context=context, timeout=TIMEOUT
     )
     try:
-        made.request("GET", f"{address.path}?{address.query}", headers=headers)
-        answer = made.getresponse()
+        connection.request("GET", f"{address.path}?{address.query}", headers=headers)
+        answer = connection.getresponse()
         answer.read()
         return answer.status, answer.headers.get("set-cookie", "").partition(";")[0]
     finally:
-        made.close()
+        connection.close()
 
 
 # --- rights -----------------------------------------------------------------------------------------------
@@ -125,28 +125,28 @@ class Browsing:
 
     def asks(self, path: str, says: object = None) -> tuple[int, str]:
         context = ssl.create_default_context(cadata=self._root.decode())
-        made = http.client.HTTPSConnection(
-            self._address.hostname or "", self._address.port, context=context, timeout=PATIENCE
+        connection = http.client.HTTPSConnection(
+            self._address.hostname or "", self._address.port, context=context, timeout=TIMEOUT
         )
         try:
             body = None if says is None else json.dumps(says)
             headers = {"Cookie": self._cookie, "Origin": self.origin}
-            made.request("GET" if says is None else "POST", path, body, headers)
-            answer = made.getresponse()
+            connection.request("GET" if says is None else "POST", path, body, headers)
+            answer = connection.getresponse()
             return answer.status, answer.read().decode()
         finally:
-            made.close()
+            connection.close()
 
     def look(self) -> dict:
         return json.loads(self.asks("/snapshot")[1])["team"]
 
     def until(self, told: Callable[[dict], bool]) -> dict:
         """Poll the page until it shows a condition."""
-        end = time.monotonic() + PATIENCE
-        while not told(look := self.look()):
-            assert time.monotonic() < end, look
+        end = time.monotonic() + TIMEOUT
+        while not told(state := self.look()):
+            assert time.monotonic() < end, state
             time.sleep(0.1)
-        return look
+        return state
 
     def presses(self, action: str) -> tuple[int, str]:
         return self.asks("/order", {"action": action, "pressed": json.loads(self.asks("/snapshot")[1])["at"]})
@@ -167,7 +167,7 @@ def team(lfield, alone):
         # The environment of another computer, without the socket of the host.
         (lfield.folder / "away").mkdir(mode=0o700, exist_ok=True)
         away = {"XDG_RUNTIME_DIR": f"{lfield.folder}/away"}
-        words = (
+        arguments = (
             "watch",
             "--deploy",
             deployment,
@@ -177,7 +177,7 @@ def team(lfield, alone):
             "--listen",
             ADDRESS,
         )
-        page = lfield.start(*words, "--page-keys", lfield.folder / "page", env=away)
+        page = lfield.start(*arguments, "--page-keys", lfield.folder / "page", env=away)
         return page.wait_for(r"open this link: (https://\S+)")[1], root
 
     return begin
@@ -191,13 +191,13 @@ def linked(look: dict) -> bool:
 @pytest.mark.process
 def test_an_operator_with_only_observe_sees_the_page_and_gives_no_order(team) -> None:
     page = Browsing(*team("anna", Right.OBSERVE))
-    look = page.until(linked)
-    assert set(look["denied_orders"]) == {"stop", "lift", "pause", "resume"}
-    for order, why in look["denied_orders"].items():
-        assert "anna may observe, and this takes the right to" in why
-        assert page.presses(order) == (403, why)
-    look = page.until(linked)
-    assert (look["is_stopped"], look["paused"]) == (False, [])
+    state = page.until(linked)
+    assert set(state["denied_orders"]) == {"stop", "lift", "pause", "resume"}
+    for order, reason in state["denied_orders"].items():
+        assert "anna may observe, and this takes the right to" in reason
+        assert page.presses(order) == (403, reason)
+    state = page.until(linked)
+    assert (state["is_stopped"], state["paused"]) == (False, [])
 
 
 @pytest.mark.few(0)
@@ -206,11 +206,11 @@ def test_access_rules_of_a_mission_leave_the_stop_button(team) -> None:
     page = Browsing(*team("maria", *ALL_RIGHTS))
     look = page.until(linked)
     assert set(look["denied_orders"]) == {"lift", "resume"}
-    told = "maria may not operate in this mission: mission.access.yaml:1 limits maria to: observe"
-    assert set(look["denied_orders"].values()) == {told}
+    reason = "maria may not operate in this mission: mission.access.yaml:1 limits maria to: observe"
+    assert set(look["denied_orders"].values()) == {reason}
     assert page.presses("stop")[0] == 200
     page.until(lambda look: look["is_stopped"])
-    assert page.presses("lift") == (403, told)
+    assert page.presses("lift") == (403, reason)
     assert page.until(linked)["is_stopped"]
 
 
@@ -246,7 +246,7 @@ def test_without_the_right_stop_is_disabled_with_the_reason(team, lfield) -> Non
             const answer = fetch("order", {method: "POST", body: '{"action": "stop"}'});
             answer.then(async (said) => done(said.status + " " + await said.text()));
         """
-        browser.driver.set_script_timeout(PATIENCE)
+        browser.driver.set_script_timeout(TIMEOUT)
         assert browser.driver.execute_async_script(press).startswith("403 anna may observe, and this takes")
         assert "STOPPED" not in browser.text("state")
     finally:

@@ -137,13 +137,13 @@ def test_each_production_of_the_grammar_has_a_row(table: list[Row], monkeypatch:
 
 def test_opcodes_equal_those_of_the_machine(table: list[Row]) -> None:
     printed = {(number, name) for number, names in INSTRUCTIONS.items() for name in names.split()}
-    shown = {
+    excerpts = {
         (row.cells["table"], row.cells["instruction"].strip("`")): row
         for row in table
         if "instruction" in row.cells
     }
-    assert shown.keys() == printed
-    for (_, name), row in shown.items():
+    assert excerpts.keys() == printed
+    for (_, name), row in excerpts.items():
         assert (name in BY_NAME) == (row.state != "not implemented") == (name not in OF_CHARACTERS)
         assert row.cells["number"] == (str(BY_NAME[name].code) if name in BY_NAME else "")
         if name in BY_NAME:

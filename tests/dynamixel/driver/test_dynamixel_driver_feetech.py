@@ -215,9 +215,9 @@ async def test_overheating_or_torque_loss_in_motion_stops_all_servos(
     await asyncio.sleep(1.0)
     start = asyncio.get_running_loop().time()
     bench.fault(fault)
-    with pytest.raises(DeviceError, match=match) as caught:
+    with pytest.raises(DeviceError, match=match) as error:
         await motion
-    assert caught.value.kind == "DeviceException"
+    assert error.value.kind == "DeviceException"
     if "brownout" in fault:
         assert asyncio.get_running_loop().time() - start < 1.0
     stopped_at = bench.values["positions"][0]

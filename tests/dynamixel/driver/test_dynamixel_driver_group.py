@@ -54,9 +54,9 @@ async def test_missing_member_is_reported_and_its_position_is_nan(bench, group, 
     assert math.isnan(positions[1])
     assert not math.isnan(positions[0])
     assert bench.values["missing"] == [2]
-    with pytest.raises(DeviceError, match="servo 2 does not answer") as caught:
+    with pytest.raises(DeviceError, match="servo 2 does not answer") as error:
         await call(group, "moveTo", [0.1, 0.1, 0.1])
-    assert caught.value.kind == "DeviceTimeoutException"
+    assert error.value.kind == "DeviceTimeoutException"
     bench.fault("dead@2=false")
     await asyncio.sleep(1.0)
     assert bench.values["missing"] == []
@@ -181,9 +181,9 @@ async def test_unplugged_port_is_reported_once_and_used_again(bench, group, /):
     await asyncio.sleep(0.2)
     start = asyncio.get_running_loop().time()
     bench.port.unplug()
-    with pytest.raises(DeviceError, match="not answer") as caught:
+    with pytest.raises(DeviceError, match="not answer") as error:
         await moving
-    assert caught.value.kind == "DeviceTimeoutException"
+    assert error.value.kind == "DeviceTimeoutException"
     assert asyncio.get_running_loop().time() - start < 3.0
     await asyncio.sleep(5.0)
     with pytest.raises(DeviceError, match="not answer"):

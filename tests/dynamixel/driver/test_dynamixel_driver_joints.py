@@ -73,16 +73,16 @@ def arm(
     ],
 )
 def test_invalid_calibration_file_is_refused(joints, sentence):
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError) as error:
         parsed("arm.json", json.dumps(joints).encode())
-    assert sentence in caught.value.reason
+    assert sentence in error.value.reason
 
 
 def test_all_errors_of_a_calibration_are_reported_at_once():
     wrong = {"pan": PAN | {"range_min": 3000, "range_max": 1}, "lift": LIFT | {"range_max": 1200, "id": 1}}
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError) as error:
         parsed("arm.json", json.dumps(wrong).encode())
-    assert caught.value.reason.count(";") == 4
+    assert error.value.reason.count(";") == 4
 
 
 def test_repeated_joint_is_refused_and_a_byte_order_mark_is_accepted():

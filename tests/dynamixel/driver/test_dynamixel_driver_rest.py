@@ -88,8 +88,8 @@ async def test_unplugged_adapter_means_not_at_rest(bench, servo, /):
 @on_bench(Bench, safe_state="torque_off")
 async def test_measurement_before_a_stop_does_not_prove_rest(bench, servo, /):
     await start_motion(servo, 1.5)
-    at, seen = servo._readings[1]
-    servo._readings[1] = (at, replace(seen, velocity=0.0))  # the value before the motion
+    at, reading = servo._readings[1]
+    servo._readings[1] = (at, replace(reading, velocity=0.0))  # the value before the motion
     turned = bench.servos[1].motion.motor.speed
     await servo.make_safe()
     report = servo.moving()

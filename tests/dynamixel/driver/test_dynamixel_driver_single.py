@@ -289,9 +289,9 @@ async def test_torque_off_is_confirmed(bench, servo, /):
 async def test_unconfirmed_servo_safe_state_is_an_error(bench, servo, /):
     await enable(servo)
     bench.fault("dead=true")
-    with pytest.raises(DeviceError, match="servo 1 does not answer") as caught:
+    with pytest.raises(DeviceError, match="servo 1 does not answer") as error:
         await servo.make_safe()
-    assert caught.value.kind == "DeviceTimeoutException"
+    assert error.value.kind == "DeviceTimeoutException"
     bench.fault("dead=false")
     await servo.make_safe()
 

@@ -80,9 +80,9 @@ def test_sign_bit_values_are_encoded_and_decoded(value, place):
 @given(data=st.data(), error=st.integers(0, 255))
 def test_any_register_bytes_are_decoded(model: Model, data, error):
     size = model.present[1]
-    seen = present(model, Status(1, error, data.draw(st.binary(min_size=size, max_size=size))))
-    assert math.isfinite(seen.position)
-    assert math.isnan(seen.current) == (model.current == 0.0)
+    reading = present(model, Status(1, error, data.draw(st.binary(min_size=size, max_size=size))))
+    assert math.isfinite(reading.position)
+    assert math.isnan(reading.current) == (model.current == 0.0)
     size = model.state[1]
     condition(model, Status(1, error, data.draw(st.binary(min_size=size, max_size=size))))
 
@@ -109,11 +109,11 @@ def test_units_equal_those_of_the_manual():
         data[item.address - 122 : item.address - 122 + item.size] = item.encode(value)
     data[22:24] = (74).to_bytes(2, "little")
     data[24] = 41
-    seen = present(X, Status(1, 0, bytes(data)))
-    assert seen.velocity == pytest.approx(-22.9 * 2 * math.pi / 60)
-    assert seen.current == pytest.approx(0.5)
-    assert seen.position == pytest.approx(math.pi)
-    assert (seen.voltage, seen.temperature) == (pytest.approx(7.4), 41)
+    reading = present(X, Status(1, 0, bytes(data)))
+    assert reading.velocity == pytest.approx(-22.9 * 2 * math.pi / 60)
+    assert reading.current == pytest.approx(0.5)
+    assert reading.position == pytest.approx(math.pi)
+    assert (reading.voltage, reading.temperature) == (pytest.approx(7.4), 41)
     assert AX.to_angle(1023) - AX.to_angle(0) == pytest.approx(math.radians(300))
 
 

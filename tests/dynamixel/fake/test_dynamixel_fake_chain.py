@@ -231,8 +231,8 @@ def test_fast_read_packet_ends_at_a_missing_servo():
     assert data[1:5] == struct.pack("<i", 2048)
     assert data[7:9] == b"\x00\x03"
     requests = struct.pack("<BHHBHH", 2, 144, 2, 1, 146, 1)
-    whole = bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, requests))
-    assert parse(whole)[0][2][:3] == b"\x02\x78\x00"
+    answers = bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, requests))
+    assert parse(answers)[0][2][:3] == b"\x02\x78\x00"
     cut = bus.send(sync_read(2, 77, 3, fast=True))
     assert len(cut) == 8 + 8, "one block of three"
     assert int.from_bytes(cut[5:7], "little") == 1 + 3 * 8

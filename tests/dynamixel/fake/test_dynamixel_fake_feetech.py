@@ -97,8 +97,8 @@ def test_sign_and_magnitude_encoding_is_reversible_within_its_range(value):
 
 
 def test_damaged_and_unknown_instructions_are_not_answered(desk):
-    whole = encode1(1, 2, bytes((56, 2)))
-    damaged = whole[:-1] + bytes((whole[-1] ^ 1,))
+    packet = encode1(1, 2, bytes((56, 2)))
+    damaged = packet[:-1] + bytes((packet[-1] ^ 1,))
     assert desk.port.chain.receive(damaged, desk.port.now, BAUD) == []
     assert desk.send(0x55, b"") == []
     assert len(desk.send(2, bytes((56, 2)))) == 1

@@ -107,13 +107,13 @@ def test_trapezoidal_profile_over_time():
     bench = Bench(torque_enable=1, profile_velocity=100, profile_acceleration=20, goal_position=3000)
     speed, acceleration = 100 * VELOCITY_UNIT * COUNTS, 20 * ACCELERATION_UNIT * COUNTS
     length = (3000 - 2048) / speed + speed / acceleration
-    seen = []
+    samples = []
     while bench.now < length - 0.02:
         bench.wait(0.02)
-        seen.append((bench["present_velocity"], bench["velocity_trajectory"], bench["moving"]))
-    assert max(v for v, _, _ in seen) == pytest.approx(100, abs=2)
-    assert all(abs(v - wanted) <= 3 for v, wanted, _ in seen)
-    assert all(moving for _, _, moving in seen)
+        samples.append((bench["present_velocity"], bench["velocity_trajectory"], bench["moving"]))
+    assert max(v for v, _, _ in samples) == pytest.approx(100, abs=2)
+    assert all(abs(v - expected) <= 3 for v, expected, _ in samples)
+    assert all(moving for _, _, moving in samples)
     assert bench["moving_status"] & 0x32 == 0x32
     bench.wait(0.2)
     assert (bench["present_position"], bench["moving"]) == (3000, 0)

@@ -86,8 +86,8 @@ class EngineFuzzer:
             return
         mutant, edits = program, list[Edit]()
         for number in range(self._mutants):
-            dice = random.Random(f"{seed} {number}")
-            mutant, edits = random_edits(program, dice, dice.choice((1, 1, 2, 4)), mutant, edits)
+            rng = random.Random(f"{seed} {number}")
+            mutant, edits = random_edits(program, rng, rng.choice((1, 1, 2, 4)), mutant, edits)
             with partly_compiled(changed_methods(mutant, edits)):
                 outcome = run_trial(mutant, text, seed + number, self._engines)
             self.tally.add(outcome)
@@ -187,15 +187,15 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--most", type=int, default=5, help="stop after so many differences")
     args = parser.parse_args(argv)
     fuzz = EngineFuzzer(engine_named(args.engine), args.mutants)
-    began, status = time.monotonic(), 0
+    started, status = time.monotonic(), 0
     gc.freeze()
     try:
-        _try(fuzz, args, began)
+        _try(fuzz, args, started)
     except KeyboardInterrupt:
         status = INTERRUPTED
     finally:
         gc.unfreeze()
-    print(fuzz.tally.line(time.monotonic() - began))
+    print(fuzz.tally.line(time.monotonic() - started))
     return 1 if fuzz.tally.found else status
 
 
@@ -212,15 +212,15 @@ def _collected_after() -> Iterator[None]:
 
 def _try(fuzz: EngineFuzzer, args: argparse.Namespace, started: float) -> None:
     """Run seeds in sequence until the count or time is reached."""
-    seed, said = args.seed, started
+    seed, last_report = args.seed, started
     while fuzz.tally.programs < args.count and fuzz.tally.found < args.most:
         with _collected_after():
             for report in fuzz.seed(seed):
                 print(report, flush=True)
         seed += 1
         now = time.monotonic()
-        if now - said >= _EVERY:
+        if now - last_report >= _EVERY:
             print(f"seed {seed}: {fuzz.tally.line(now - started)}", flush=True)
-            said = now
+            last_report = now
         if now - started >= args.seconds:
             break

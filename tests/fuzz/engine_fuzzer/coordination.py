@@ -165,9 +165,9 @@ _ASKS = (
 
 def random_asker(rng: random.Random) -> str:
     """A coordinator with queries to tests/golden/programs/hauling.yaml, and its resources."""
-    asked = []
+    queries = []
     for _ in range(rng.randint(1, 5)):
         query = rng.choice((" && ", " || ")).join(rng.sample(_ATOMS, rng.randint(1, 3))) + rng.choice(_ORDERS)
         call = rng.choice(_ASKS).replace("#", query)
-        asked.append(f"try {{ {call} }} catch (Exception e) {{ print(e.type() + e.message()); }}\n")
-    return _ASKER.replace("#", "".join(asked))
+        queries.append(f"try {{ {call} }} catch (Exception e) {{ print(e.type() + e.message()); }}\n")
+    return _ASKER.replace("#", "".join(queries))

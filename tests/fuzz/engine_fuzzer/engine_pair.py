@@ -112,11 +112,11 @@ class EnginePair(EngineWrapper):
     def throw(self, block: Block, thread: int, thrown: int) -> bool:
         """Throw on both engines."""
         copy = copy_block(block)
-        caught = self.reference.throw(copy, thread, thrown)
+        handler_found = self.reference.throw(copy, thread, thrown)
         also = self._try("throw", lambda: self.tried.throw(block, thread, thrown))
-        self._same("throw", "caught", caught, also)
+        self._same("throw", "caught", handler_found, also)
         self._compare("throw", copy, block, thread)
-        return caught
+        return handler_found
 
     # --- differences ----------------------------------------------------------------------------------
 

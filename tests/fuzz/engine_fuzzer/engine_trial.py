@@ -70,14 +70,14 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
 
     Comments of the text name the agents, as in golden programs, and may contain ROOM.
     """
-    dice = random.Random(seed)
-    limits = AgentLimits() if ENOUGH_HEAP in text else random_limits(dice)
+    rng = random.Random(seed)
+    limits = AgentLimits() if ENOUGH_HEAP in text else random_limits(rng)
     desk, clock = GoldenWorld(), ManualClock()
-    made: list[EnginePair] = []
+    pairs: list[EnginePair] = []
 
     def twin(program: Program, now: Callable[[], float]) -> EnginePair:
-        made.append(EnginePair(program, now, engines, dice, LONGEST))
-        return made[0]
+        pairs.append(EnginePair(program, now, engines, rng, LONGEST))
+        return pairs[0]
 
     members = team_for(program, _DEPLOY.findall(text))
     if registry := registry_of(text):
@@ -91,12 +91,12 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
         machine.start(member, limits, generation=1)
     for _ in range(ROUNDS):
         pause = machine.run()
-        if pause is None or made[0].done >= LONGEST or made[0].differences:
+        if pause is None or pairs[0].done >= LONGEST or pairs[0].differences:
             break
         if clock.now + pause > LATEST:
             break
         clock.advance(pause)
-    return TrialOutcome(tuple(made[0].differences) or _bugs(desk), made[0].done, made[0].exits)
+    return TrialOutcome(tuple(pairs[0].differences) or _bugs(desk), pairs[0].done, pairs[0].exits)
 
 
 def _bugs(desk: GoldenWorld) -> tuple[str, ...]:

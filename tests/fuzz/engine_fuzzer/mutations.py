@@ -128,16 +128,16 @@ def random_edits(
 
     The changes follow `earlier` ones, whose result is `latest`.
     """
-    kept, found = list(earlier), program if latest is None else latest
+    edits, found = list(earlier), program if latest is None else latest
     for _ in range(3 * count):
-        if len(kept) >= len(earlier) + count:
+        if len(edits) >= len(earlier) + count:
             break
         edit = _drawn(found, rng)
-        changed = None if edit is None else edited(program, [*kept, edit], len(kept))
+        changed = None if edit is None else edited(program, [*edits, edit], len(edits))
         if edit is not None and changed is not None:
-            kept.append(edit)
+            edits.append(edit)
             found = changed
-    return found, kept
+    return found, edits
 
 
 def _drawn(program: Program, rng: random.Random) -> Edit | None:

@@ -187,9 +187,9 @@ class _ProgramGenerator:
             for kind, forms in _KNOWN.items():
                 found[kind] = (*found.get(kind, ()), *forms)
         for of, target in {"Node": "#.", unit: ""}.items():
-            given = "Node! " if target else ""
+            parameter = "Node! " if target else ""
             for kind, name in self._all(of):
-                call = f"{target}{name}(d - 1, #, #, #)|{given}int real Node"
+                call = f"{target}{name}(d - 1, #, #, #)|{parameter}int real Node"
                 found[kind] = (*found.get(kind, ()), *((call,) * 3))
         return found
 

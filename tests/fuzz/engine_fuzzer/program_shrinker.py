@@ -34,12 +34,12 @@ def shrink(program: ProgramPiece, shows: Shows, tries: int = 400) -> None:
 
 def shrunk_edits(edits: list[Edit], shows: Callable[[list[Edit]], bool]) -> list[Edit]:
     """The changes that are needed for the difference."""
-    kept = list(edits)
+    remaining = list(edits)
     for edit in edits:
-        fewer = [other for other in kept if other is not edit]
+        fewer = [other for other in remaining if other is not edit]
         if shows(fewer):
-            kept = fewer
-    return kept
+            remaining = fewer
+    return remaining
 
 
 def _statements(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
@@ -49,10 +49,10 @@ def _statements(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
         while size:
             at = 0
             while at < len(block):
-                taken = block[at : at + size]
+                removed = block[at : at + size]
                 del block[at : at + size]
                 if not spare.use(shows):
-                    block[at:at] = taken
+                    block[at:at] = removed
                     at += size
             size //= 2
 

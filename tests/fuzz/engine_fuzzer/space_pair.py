@@ -81,9 +81,9 @@ class SpacePair:
         if top != expected.top:
             self._differs(f"{what}: the top is {top}, in the reference {expected.top}")
         words = memoryview(found)[: 8 * top].cast("q")
-        for place, (word, wanted) in enumerate(zip(words, expected.w, strict=False)):
-            if word != wanted:
-                self._differs(f"{what}: word {place} is {word:#x}, in the reference {wanted:#x}")
+        for place, (word, reference) in enumerate(zip(words, expected.w, strict=False)):
+            if word != reference:
+                self._differs(f"{what}: word {place} is {word:#x}, in the reference {reference:#x}")
                 return
 
 

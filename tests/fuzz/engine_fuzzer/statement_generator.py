@@ -205,29 +205,29 @@ class StatementGenerator:
 
     def _try(self, depth: int, with_finally: bool) -> ProgramPiece:
         self._names += 1
-        name, caught = f"e{self._names}", self.rng.choice(_CAUGHT)
+        name, exception = f"e{self._names}", self.rng.choice(_CAUGHT)
         body = self.block(depth - 1)
         handler = self.block(depth - 1, 2)
-        told = [f"throw {name};", ""]
-        told += (
+        lines = [f"throw {name};", ""]
+        lines += (
             [f"i0 = {name}.n;"]
-            if caught == "Node"
+            if exception == "Node"
             else [
                 f"s0 = {name}.message();",
                 f"s1 = {name}.type() + {name}.source();",
                 f"i0 = {name}.others().length();",
             ]
         )
-        handler.append(ProgramPiece("", [f"if (b0) {{ {self.rng.choice(told)} }}"]))
+        handler.append(ProgramPiece("", [f"if (b0) {{ {self.rng.choice(lines)} }}"]))
         if self.rng.random() < 0.3:
             other = f"catch (Exception {name}) {{ # }}"
-            form = f"try {{ # }} catch ({caught} {name}) {{ # }} {other}"
+            form = f"try {{ # }} catch ({exception} {name}) {{ # }} {other}"
             return written("", form, body, handler, self.block(depth - 1, 1))
         if not with_finally:
-            return written("", f"try {{ # }} catch ({caught} {name}) {{ # }}", body, handler)
+            return written("", f"try {{ # }} catch ({exception} {name}) {{ # }}", body, handler)
         return written(
             "",
-            f"try {{ # }} catch ({caught} {name}) {{ # }} finally {{ # }}",
+            f"try {{ # }} catch ({exception} {name}) {{ # }} finally {{ # }}",
             body,
             handler,
             self._last(depth),

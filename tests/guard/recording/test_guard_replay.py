@@ -103,7 +103,7 @@ def test_truncated_file_is_replayed_up_to_its_end(tmp_path):
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     data = path.read_bytes()
-    whole, previous = replay_guard([path]), 0
+    replayed, previous = replay_guard([path]), 0
     ends = {len(MAGIC)}
     for record in SegmentReader(BytesIO(data)):
         ends.add(max(ends) + len(frame(record)))
@@ -112,12 +112,12 @@ def test_truncated_file_is_replayed_up_to_its_end(tmp_path):
     for size in [*range(10), *range(10, first, 37), *range(first - 3, len(data))]:
         path.write_bytes(data[:size])
         result = replay_guard([path])
-        assert previous <= result.digests <= whole.digests
+        assert previous <= result.digests <= replayed.digests
         assert result.differences == 0
         assert bool(result.cut) == (size > len(MAGIC) and size not in ends)
         assert bool(result.missing) == (size < first)
         previous = result.digests
-    assert previous == whole.digests - 1
+    assert previous == replayed.digests - 1
 
 
 def test_replay_of_a_damaged_file_ends_at_the_damage(tmp_path):
@@ -125,11 +125,11 @@ def test_replay_of_a_damaged_file_ends_at_the_damage(tmp_path):
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     data = path.read_bytes()
-    whole = replay_guard([path]).digests
+    replayed = replay_guard([path]).digests
     for at in range(len(MAGIC), len(data), 23):
         path.write_bytes(data[:at] + bytes([data[at] ^ 0x41]) + data[at + 1 :])
         result = replay_guard([path])
-        assert result.digests < whole
+        assert result.digests < replayed
         assert list(result.cut) == [path]
 
 
@@ -202,8 +202,8 @@ def test_unreadable_file_does_not_hide_the_others(tmp_path):
     (path,) = guard.ring.stored(tmp_path)
     other = tmp_path / "guard-a-000000.lfrec"
     other.write_bytes(MAGIC[:-1] + b"\x7f")
-    whole, result = replay_guard([path]), replay_guard([other, path])
-    assert result.digests == whole.digests > 0
+    replayed, result = replay_guard([path]), replay_guard([other, path])
+    assert result.digests == replayed.digests > 0
     assert list(result.cut) == [other]
 
 

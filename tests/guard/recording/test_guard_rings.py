@@ -60,7 +60,7 @@ def folder(tmp_path):
     return path
 
 
-def run_guard(folder, limit=1 << 20, calls=1, story=None):
+def run_guard(folder, limit=1 << 20, calls=1, scenario=None):
     """Runs a guard that records into a folder; returns its sent messages."""
 
     async def flight():
@@ -74,8 +74,8 @@ def run_guard(folder, limit=1 << 20, calls=1, story=None):
             shell.data_received(encode(Beat(now)))
             shell.data_received(encode(GuardCall(token, "a.lift", "rise", [], now, now + 9.0)))
             await asyncio.sleep(0.05)
-        if story is not None:
-            await story(output)
+        if scenario is not None:
+            await scenario(output)
         shell.data_received(encode(Stop("the host is stopping")))
         assert await shell.exit == 0
         await shell.close()
@@ -159,7 +159,7 @@ def file_size_limit(size):
 
 def test_full_disk_ends_each_log_with_one_note_not_the_guard(folder):
     with file_size_limit(64):
-        received = run_guard(folder, story=wait_for_both_failures)
+        received = run_guard(folder, scenario=wait_for_both_failures)
     found = failures_in(received)
     assert len(found) == 2
     assert any(f"{folder.name}/{RECORDS}.lfrec" in text for text in found)
@@ -171,7 +171,7 @@ def test_full_disk_ends_each_log_with_one_note_not_the_guard(folder):
 @pytest.mark.parametrize("place", ["removed", "a file", "/proc/self"])
 def test_unwritable_folder_ends_the_logs_not_the_guard(folder, place):
     (folder / "a file").touch()
-    received = run_guard(folder / place, story=wait_for_both_failures)
+    received = run_guard(folder / place, scenario=wait_for_both_failures)
     assert len(failures_in(received)) == 2
 
 

@@ -42,7 +42,7 @@ async def until(condition):
 def test_killed_guard_leaves_a_recording_that_the_next_one_continues(tmp_path):
     folder = create_folder(tmp_path / "rec", "north", 7, 0.0)
 
-    async def story():
+    async def scenario():
         bound = bind(
             PLUGIN, "CanAxis", agent="winch", field="axis", endpoint=fake.endpoint,
             options={"node": 3, "protocol": "odrive"}, waivers=["no_homing", "device_watchdog"],
@@ -56,7 +56,7 @@ def test_killed_guard_leaves_a_recording_that_the_next_one_continues(tmp_path):
         return [note for note in axis.notes if "recording" in note]
 
     with running_fake("can", "--device", "odrive:3") as fake:
-        assert asyncio.run(story()) == []
+        assert asyncio.run(scenario()) == []
     ((device, paths),) = rings_in(folder).items()
     result = replay_guard(paths)
     assert (device, len(paths), result.differences, result.missing) == ("winch.axis", 2, 0, [])

@@ -102,7 +102,7 @@ async def test_hosts_with_different_access_rules_do_not_link(team, /, theirs):
     mission = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=RULES)
     (bravo,) = await team.up(other, "bravo")
     (alpha,) = await team.up(mission, "alpha")
-    words = "start both from the same .access.yaml file, or from one bundle"
-    await team.until(lambda: words in alpha.log and words in bravo.log)
+    text = "start both from the same .access.yaml file, or from one bundle"
+    await team.until(lambda: text in alpha.log and text in bravo.log)
     digest = other.access.digest.hex()[:12] or "(none)"
     assert f"bravo has access rules {digest};" in alpha.log.replace(" and alpha", ";")

@@ -84,11 +84,11 @@ async def test_a_second_host_with_the_same_name_is_refused_and_the_first_continu
     mission = team.mission(PROGRAM.replace("findEcho", "sleep(30.0); findEcho"), DEPLOYMENT)
     alpha, bravo = await team.up(mission)
     (second,) = await team.up(mission, "alpha", address="elsewhere:8181")
-    words = "bravo already has a link to another alpha"
-    await team.until(lambda: _log_lines(second, words) and _log_lines(bravo, words))
+    text = "bravo already has a link to another alpha"
+    await team.until(lambda: _log_lines(second, text) and _log_lines(bravo, text))
     assert await team.ended("tom") == "done"
     assert bravo.output.count("here") == 1
-    assert not _log_lines(alpha, words)
+    assert not _log_lines(alpha, text)
 
 
 class UnknownPeers:
@@ -196,7 +196,7 @@ async def last_answer(team, address, hello):
     caller = Caller(hello)
     link = await team.network.transport("bravo").connect(address, caller)
     link.send(hello)
-    await team.until(lambda: caller.ends or any(isinstance(said, EventBatch) for said in caller.heard))
+    await team.until(lambda: caller.ends or any(isinstance(message, EventBatch) for message in caller.heard))
     link.close()
     return caller.heard[-1]
 
@@ -237,7 +237,7 @@ async def test_the_connection_limit_of_one_observer_does_not_affect_others(team,
         caller = Caller(hello)
         monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", name, ALL_RIGHTS))
         (await desk.connect("alpha:1", caller)).send(hello)
-        await team.until(lambda: any(isinstance(said, EventBatch) for said in caller.heard))
+        await team.until(lambda: any(isinstance(message, EventBatch) for message in caller.heard))
         return caller
 
     ben = await observe("ben")

@@ -203,11 +203,11 @@ async def test_a_revoked_host_gets_no_new_link_even_in_flight(team, /, certifica
 async def test_a_revoked_host_loses_its_observer_link_even_in_flight(team, /, certificates):
     alpha, _ = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
-    looks = await _observer(team, "bravo", Subscribe())
+    observer = await _observer(team, "bravo", Subscribe())
     desk = await _observer(team, "desk")
     desk.link.send(RevocationUpdate(certificates.list(7, certificates.identities["bravo"].serial)))
-    await team.until(lambda: looks.over)
-    assert "the keys of host bravo are revoked (list 7)" in looks.refused
+    await team.until(lambda: observer.over)
+    assert "the keys of host bravo are revoked (list 7)" in observer.refused
     assert linked(alpha), "the link of the host itself stays, to finish"
     assert not desk.over
 
@@ -231,16 +231,16 @@ async def test_with_an_expired_certificate_a_peer_may_still_observe_and_stop_in_
     certificates.ends(name, 5.0)
     alpha, _ = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
-    looks, lifts = [await _observer(team, name) for _ in range(2)]
+    observer, lifts = [await _observer(team, name) for _ in range(2)]
     await asyncio.sleep(30.0)
-    assert not looks.over
+    assert not observer.over
     lifts.link.send(EmergencyStop(bytes(16), "", lift=True))
     await team.until(lambda: lifts.over)
     assert ("may only observe and stop" if name == "desk" else "a person has it") in lifts.refused
     epoch = alpha.host.core.orders.epochs.hold
-    looks.link.send(EmergencyStop(bytes(16), "enough", epoch=epoch))
-    await team.until(lambda: looks.over)
-    assert f"the certificate of {certificates.identities[name]} expired" in looks.refused
+    observer.link.send(EmergencyStop(bytes(16), "enough", epoch=epoch))
+    await team.until(lambda: observer.over)
+    assert f"the certificate of {certificates.identities[name]} expired" in observer.refused
     assert "EMERGENCY STOP" in alpha.log
 
 
@@ -307,13 +307,13 @@ class ObserverClient:
         self.over = True
 
 
-async def _observer(team, name, *words, greets=None):
+async def _observer(team, name, *arguments, greets=None):
     """A client with a link to alpha, as an observer; or as a host with the Hello `greets`."""
     client = ObserverClient()
     client.link = await team.network.transport(name).connect("alpha:8181", client)
     for message in (
         msgspec.structs.replace(greets, host=name, incarnation=9) if greets else OBSERVER,
-        *words,
+        *arguments,
     ):
         client.link.send(message)
     return client

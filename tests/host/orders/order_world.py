@@ -93,8 +93,8 @@ class Post(OrderHost):
             self.world.sent.append((self.name, desk, data))
 
     def relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
-        taken = partial(self.world.posts[host].datagrams.on_relayed, self.name, message)
-        self.world.carry(self.name, host, message.datagram, taken)
+        handler = partial(self.world.posts[host].datagrams.on_relayed, self.name, message)
+        self.world.carry(self.name, host, message.datagram, handler)
 
 
 class OrderingPerson:
@@ -142,8 +142,8 @@ class OrderingPerson:
             self._continue()
 
     def _put(self, send: OutgoingDatagram) -> None:
-        taken = partial(self.world.posts[send.host].came, send.datagram, self.name)
-        self.world.carry(self.name, send.host, send.datagram, taken)
+        handler = partial(self.world.posts[send.host].came, send.datagram, self.name)
+        self.world.carry(self.name, send.host, send.datagram, handler)
 
     @property
     def is_done(self) -> bool:

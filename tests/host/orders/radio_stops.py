@@ -100,10 +100,10 @@ class RadioWorld(World):
             nonlocal is_seen
             if not is_seen:
                 is_seen = True
-                took = self.now - sent
-                trip = self._trips[name] = min(took, self._trips.get(name, took))
-                rest = min(LONGEST_REST, REST * (took - trip))
-                self.later(max(EVERY - took, rest), partial(self._watch, name))
+                elapsed = self.now - sent
+                trip = self._trips[name] = min(elapsed, self._trips.get(name, elapsed))
+                rest = min(LONGEST_REST, REST * (elapsed - trip))
+                self.later(max(EVERY - elapsed, rest), partial(self._watch, name))
 
         def send(again: float) -> None:
             if not is_seen:
@@ -194,8 +194,8 @@ class RadioDesk:
 
     def _turn(self) -> None:
         for send in self.asking.drain_effects():
-            taken = partial(self.world.posts[send.host].came, send.datagram, DESK)
-            self.world.carry(DESK, send.host, send.datagram, taken)
+            handler = partial(self.world.posts[send.host].came, send.datagram, DESK)
+            self.world.carry(DESK, send.host, send.datagram, handler)
         due = self.asking.due
         if due is not None and due != self._planned:
             self._planned = due
@@ -251,10 +251,10 @@ def stops(
         desk = RadioDesk(world)
         for number in range(again + 1):
             before = world.bytes
-            took = max(desk.stop())
+            elapsed = max(desk.stop())
             world.run(PAUSE)
             if number:
-                found.append(took)
+                found.append(elapsed)
                 size += world.bytes - before
             desk.lifted()
     return sorted(found), size / len(found)

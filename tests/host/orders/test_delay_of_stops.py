@@ -37,15 +37,15 @@ def percentile(samples, percent):
     ],
 )
 def test_99_of_100_stops_are_confirmed_within_the_bound(cell, hosts, at_rest, within, most):
-    took, size = stops(cell, hosts, 50 if at_rest else 200, at_rest=at_rest)
-    assert percentile(took, 99) <= within
+    elapsed, size = stops(cell, hosts, 50 if at_rest else 200, at_rest=at_rest)
+    assert percentile(elapsed, 99) <= within
     assert size <= most
 
 
 @pytest.mark.few(0)
 def test_a_full_slow_radio_is_not_flooded_by_stops():
-    took, size = stops("57.6 kbit/s + 100 ms + 5 %", 5, 20, at_rest=1000.0)
-    assert took[-1] <= 4.0
+    elapsed, size = stops("57.6 kbit/s + 100 ms + 5 %", 5, 20, at_rest=1000.0)
+    assert elapsed[-1] <= 4.0
     assert size <= 9000
 
 

@@ -248,10 +248,10 @@ def test_a_person_without_the_right_to_stop_is_denied():
 
 def test_a_person_with_only_the_right_to_stop_may_not_lift():
     world = World("alpha")
-    who = person("sam", frozenset({Right.OBSERVE, Right.STOP}))
-    OrderingPerson(world, "stop", present(world), who)
+    identity = person("sam", frozenset({Right.OBSERVE, Right.STOP}))
+    OrderingPerson(world, "stop", present(world), identity)
     world.run(3.0)
-    desk = OrderingPerson(world, "lift", present(world), who, name="lifts")
+    desk = OrderingPerson(world, "lift", present(world), identity, name="lifts")
     world.run(3.0)
     assert isinstance(desk.asking.results["alpha"], OrderDenied)
     assert world.posts["alpha"].held["stop"]

@@ -54,7 +54,7 @@ def stopped(found: dict[str, str]) -> tuple[GuardsStub, list]:
         if isinstance(entry, OrderExecuted):
             core.orders.on_executed(entry.kind, entry.id)
 
-    async def story() -> None:
+    async def scenario() -> None:
         executor = OrderExecutor(core, guards, dispatch, lambda line: None, kept)
         for number in (1, 2):
             order = EmergencyStop(ID, "fog", epoch=core.orders.epochs.of("stop"))
@@ -63,7 +63,7 @@ def stopped(found: dict[str, str]) -> tuple[GuardsStub, list]:
                 while len(answers) < number:
                     await asyncio.sleep(0.001)
 
-    asyncio.run(story())
+    asyncio.run(scenario())
     return guards, [answer.devices for answer in answers]
 
 

@@ -172,8 +172,8 @@ def test_a_reservation_ends_with_its_lease(desk: Desk) -> None:
     assert desk.core.due == 2.0 + LEASE
     desk.core.tick(8.0)
     assert desk.effects() == [PersistHolder("arm", number, None, is_lazy=True)]
-    words = r"the reservation of arm ended 3.0 s ago: its lease has expired"
-    refused(desk, LOST, words, PILOT, "arm", number, 11.0)
+    text = r"the reservation of arm ended 3.0 s ago: its lease has expired"
+    refused(desk, LOST, text, PILOT, "arm", number, 11.0)
     assert desk.core.may_serve(ROVER, "arm", 0, 11.0)
 
 

@@ -95,15 +95,15 @@ class Reserving(RuleBasedStateMachine):
         """With one of the last numbers, or without one."""
         if self.asked.get(start, "call") != "call":
             return
-        given = sorted(self.granted)[-number] if 0 < number <= len(self.granted) else 0
+        granted_number = sorted(self.granted)[-number] if 0 < number <= len(self.granted) else 0
         try:
-            begins = self.core.may_serve(start, "arm", given, self.now)
+            begins = self.core.may_serve(start, "arm", granted_number, self.now)
         except ReservationDenied:
             self._continue(start)
             begins = None
         self._carry_out()
         if begins:
-            self._begins(start, given)
+            self._begins(start, granted_number)
         elif begins is False:
             self._waits(start, "call")
 

@@ -124,8 +124,8 @@ def test_a_call_longer_than_a_lease_keeps_the_reservation(open_team):
     team.run(until_done=True, at_most=200.0)
     assert not team.said("lost b:")
     assert team.said("no") >= 4
-    given = [call.at for call in team.calls if call.caller == "rover"]
-    assert not given or given[0] > max(call.ended or 0.0 for call in team.calls if call.caller == "pilot")
+    granted = [call.at for call in team.calls if call.caller == "rover"]
+    assert not granted or granted[0] > max(call.ended or 0.0 for call in team.calls if call.caller == "pilot")
 
 
 def test_a_link_cut_for_less_than_a_lease_has_no_effect(open_team):
@@ -153,8 +153,8 @@ def test_a_holder_cut_off_for_longer_loses_the_reservation_before_its_next_porta
     team.run(until_done=True, at_most=100.0)
     calls = [(call.caller, call.portal) for call in team.calls if call.resource == "b"]
     assert calls == [("pilot", "look"), ("rover", "work")]
-    began = next(call.at for call in team.calls if call.caller == "rover")
-    assert 6.0 < began < 8.5
+    started = next(call.at for call in team.calls if call.caller == "rover")
+    assert 6.0 < started < 8.5
     assert team.said("lost b: b was reserved by rover ") == 1
     assert team.ended == {"pilot": "done", "rover": "done"}
 
@@ -238,8 +238,8 @@ def test_the_reservation_of_a_crashed_host_ends_with_its_lease(open_team):
     team.run(3.0)
     team.crash("alpha")
     team.run(until=lambda: "rover" in team.ended, at_most=60.0)
-    began = next(call.at for call in team.calls if call.caller == "rover")
-    assert 6.0 < began < 8.5
+    started = next(call.at for call in team.calls if call.caller == "rover")
+    assert 6.0 < started < 8.5
 
 
 def at_host(team: MissionTeam, host: str, action: Callable[[HostCore], object]) -> None:

@@ -80,11 +80,11 @@ class Client:
         await until(self.telemetry.subscribe_armed(), lambda armed: not armed)
 
 
-async def until(values, wanted):
+async def until(values, expected):
     """The first value for which `wanted` is true."""
     async with asyncio.timeout(LONGEST):
         async for value in values:
-            if wanted(value):
+            if expected(value):
                 return value
     raise AssertionError("the values ended")
 
@@ -113,10 +113,10 @@ async def client(flavour, *options):
     assert process.returncode == 0
 
 
-def fly(story, flavour, *options):
+def fly(steps, flavour, *options):
     async def main():
         async with asyncio.timeout(200), client(flavour, *options) as c:
-            await story(c)
+            await steps(c)
 
     asyncio.run(main())
 
@@ -124,7 +124,7 @@ def fly(story, flavour, *options):
 @pytest.mark.few(0)
 @BOTH
 def test_takeoff_goto_return_to_launch_and_landing(flavour):
-    async def story(c):
+    async def steps(c):
         kinds = {"ardupilot": Autopilot.ARDUPILOT, "px4": Autopilot.PX4}
         assert c.system._system.autopilot_type() == kinds[flavour]
         version = await c.info.get_version()
@@ -148,7 +148,7 @@ def test_takeoff_goto_return_to_launch_and_landing(flavour):
         place = await until(c.telemetry.subscribe_position(), lambda _: True)
         assert abs(place.latitude_deg - LATITUDE) < 2e-5
 
-    fly(story, flavour, "--param", "RTL_ALT=600" if flavour == "ardupilot" else "RTL_RETURN_ALT=6")
+    fly(steps, flavour, "--param", "RTL_ALT=600" if flavour == "ardupilot" else "RTL_RETURN_ALT=6")
 
 
 @pytest.mark.few(0)
@@ -173,7 +173,7 @@ async def test_offboard_velocities_and_landing(c, /, flavour):
 
 @BOTH
 def test_refused_arming_sends_its_reason_as_status_text(flavour):
-    async def story(c):
+    async def steps(c):
         texts = asyncio.create_task(until(c.telemetry.subscribe_status_text(), lambda t: "Compass" in t.text))
         await asyncio.sleep(0)
         with pytest.raises(ActionError) as refused:
@@ -182,7 +182,7 @@ def test_refused_arming_sends_its_reason_as_status_text(flavour):
         assert refused.value.result == expected
         assert "Compass not calibrated" in (await texts).text
 
-    fly(story, flavour, "--fault", "refuse_arming=Compass not calibrated")
+    fly(steps, flavour, "--fault", "refuse_arming=Compass not calibrated")
 
 
 @pytest.mark.few(0)
@@ -216,7 +216,7 @@ def test_ardupilot_mission_upload_pause_resume_and_clear():
         x, y = round((LATITUDE + north * 1e-4) * 1e7), round(LONGITUDE * 1e7)
         return RawItem(number, 6, command, int(number == 0), 1, 0.0, 0.0, 0.0, 0.0, x, y, height, 0)
 
-    async def story(c):
+    async def steps(c):
         plan = [item(0, 16, 0, 0.0), item(1, 22, 0, 5.0), item(2, 16, 1, 8.0), item(3, 16, 2, 8.0)]
         await c.raw_mission.upload_mission(plan)
         held = await c.raw_mission.download_mission()
@@ -236,7 +236,7 @@ def test_ardupilot_mission_upload_pause_resume_and_clear():
         await c.raw_mission.clear_mission()
         assert len(await c.raw_mission.download_mission()) <= 1
 
-    fly(story, "ardupilot")
+    fly(steps, "ardupilot")
 
 
 @pytest.mark.few(1)
@@ -246,7 +246,7 @@ def test_uploaded_geofence_is_downloaded_and_cleared(flavour):
         Point(LATITUDE + n * 1e-3, LONGITUDE + e * 1e-3) for n, e in ((-1, -1), (-1, 1), (1, 1), (1, -1))
     ]
 
-    async def story(c):
+    async def steps(c):
         circle = Circle(Point(LATITUDE + 5e-4, LONGITUDE), 10.0, FenceType.EXCLUSION)
         await c.fence.upload_geofence(GeofenceData([Polygon(corners, FenceType.INCLUSION)], [circle]))
         held = await c.fence.download_geofence()
@@ -256,27 +256,27 @@ def test_uploaded_geofence_is_downloaded_and_cleared(flavour):
         held = await c.fence.download_geofence()
         assert (held.polygons, held.circles) == ([], [])
 
-    fly(story, flavour)
+    fly(steps, flavour)
 
 
 @pytest.mark.few(1)
 @BOTH
 def test_parameters_are_set_read_and_listed(flavour):
-    real, whole = {"ardupilot": ("WPNAV_RADIUS", "FS_GCS_ENABLE"), "px4": ("NAV_ACC_RAD", "NAV_DLL_ACT")}[
+    real, integers = {"ardupilot": ("WPNAV_RADIUS", "FS_GCS_ENABLE"), "px4": ("NAV_ACC_RAD", "NAV_DLL_ACT")}[
         flavour
     ]
 
-    async def story(c):
+    async def steps(c):
         await c.parameters.set_param_float(real, 3.5)
         assert await c.parameters.get_param_float(real) == 3.5
-        await c.parameters.set_param_int(whole, 1)
-        assert await c.parameters.get_param_int(whole) == 1
+        await c.parameters.set_param_int(integers, 1)
+        assert await c.parameters.get_param_int(integers) == 1
         everything = await c.parameters.get_all_params()
-        assert {p.name: p.value for p in everything.int_params}[whole] == 1
+        assert {p.name: p.value for p in everything.int_params}[integers] == 1
         assert {p.name: p.value for p in everything.float_params}[real] == 3.5
         assert len(everything.int_params) + len(everything.float_params) > 400
 
-    fly(story, flavour)
+    fly(steps, flavour)
 
 
 @pytest.mark.few(0)
@@ -299,7 +299,7 @@ def test_files_are_downloaded_uploaded_removed_and_listed(flavour, burst, tmp_pa
     async def last(progress):
         return [result async for result, _ in progress][-1]
 
-    async def story(c):
+    async def steps(c):
         assert await last(c.files.download(f"{folder}/{name}", str(tmp_path), burst)) == FtpResult.SUCCESS
         content = (tmp_path / name).read_bytes()
         assert len(content) > 10_000
@@ -317,4 +317,4 @@ def test_files_are_downloaded_uploaded_removed_and_listed(flavour, burst, tmp_pa
         else:
             assert [e.name for e in (await c.files.list_directory(folder)).entries] == [name]
 
-    fly(story, flavour)
+    fly(steps, flavour)

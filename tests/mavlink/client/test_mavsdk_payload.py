@@ -30,7 +30,7 @@ def points(pitch, yaw):
 @pytest.mark.few(0)
 @BOTH
 def test_a_gimbal_is_found_controlled_and_pointed(flavour):
-    async def story(c):
+    async def steps(c):
         gimbal = GimbalAsync(c.system)
         found = await until(gimbal.subscribe_gimbal_list(), lambda listed: listed.gimbals)
         (item,) = found.gimbals
@@ -61,13 +61,13 @@ def test_a_gimbal_is_found_controlled_and_pointed(flavour):
         await until(gimbal.subscribe_attitude(), lambda a: a.euler_angle_forward.pitch_deg < -40.0)
         await gimbal.release_control(item.gimbal_id)
 
-    fly(story, flavour, "--fitted", FITTED[flavour])
+    fly(steps, flavour, "--fitted", FITTED[flavour])
 
 
 @pytest.mark.few(0)
 @BOTH
 def test_a_camera_takes_pictures_series_and_videos(flavour):
-    async def story(c):
+    async def steps(c):
         camera = CameraAsync(c.system)
         found = await until(camera.subscribe_camera_list(), lambda listed: listed.cameras)
         (item,) = found.cameras
@@ -91,7 +91,7 @@ def test_a_camera_takes_pictures_series_and_videos(flavour):
         assert 0.0 < update.storage.available_storage_mib < update.storage.total_storage_mib
         await camera.stop_video(CAMERA)
 
-    fly(story, flavour, "--fitted", FITTED[flavour])
+    fly(steps, flavour, "--fitted", FITTED[flavour])
 
 
 @pytest.mark.few(0)

@@ -20,8 +20,8 @@ pytestmark = pytest.mark.process
 LONGEST = 120.0
 
 
-def fly(story, *, opened=True, **stand_in):
-    """Run `story(device, vehicle, bench)` with the driver connected to MAVSDK's vehicle."""
+def fly(steps, *, opened=True, **stand_in):
+    """Run `steps(device, vehicle, bench)` with the driver connected to MAVSDK's vehicle."""
 
     async def main():
         async with StandIn(**stand_in) as vehicle:
@@ -37,7 +37,7 @@ def fly(story, *, opened=True, **stand_in):
                 ),
             )
             await bench.play(
-                lambda device: story(device, vehicle, bench), SystemClock(), opened=opened, within=LONGEST
+                lambda device: steps(device, vehicle, bench), SystemClock(), opened=opened, within=LONGEST
             )
 
     asyncio.run(main())
@@ -87,13 +87,13 @@ async def test_modes_safe_state_and_refused_mode_of_an_mavsdk_vehicle(device, ve
 def test_mission_is_uploaded_and_read_back():
     waypoints = [LATITUDE, LONGITUDE, 10.0, LATITUDE + 5e-5, LONGITUDE, 12.0]
 
-    async def story(device, vehicle, _):
+    async def steps(device, vehicle, _):
         await device.execute("uploadMission", [waypoints])
         got = (await vehicle.missions.get()).mission_items[-2:]
         assert [(i.command, i.x, i.z) for i in got] == [(16, 473977420, 10.0), (16, 473977920, 12.0)]
         assert await device.execute("missionWaypoints", []) == pytest.approx(waypoints)
 
-    fly(story)
+    fly(steps)
 
 
 @pytest.mark.few(0)
@@ -114,7 +114,7 @@ def test_files_are_listed_read_and_written(tmp_path):
     content = "a line of a log\n" * 400
     (tmp_path / "log.txt").write_text(content)
 
-    async def story(device, vehicle, _):
+    async def steps(device, vehicle, _):
         assert await device.execute("listFiles", ["/"]) == "log.txt"
         assert await device.execute("readFile", ["/log.txt"]) == content
         await device.execute("writeFile", ["/new.txt", "hello" * 100])
@@ -122,7 +122,7 @@ def test_files_are_listed_read_and_written(tmp_path):
         await device.execute("removeFile", ["/log.txt"])
         assert not (tmp_path / "log.txt").exists()
 
-    fly(story, files=str(tmp_path))
+    fly(steps, files=str(tmp_path))
 
 
 @scenario(fly, opened=False, label=False)

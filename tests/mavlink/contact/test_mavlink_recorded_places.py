@@ -44,7 +44,7 @@ def test_recorded_local_and_global_positions_agree(name):
     stack = "px4" if name.startswith("px4") else "ardupilot"
     state = VehicleState("rover" if "rover" in name else "copter")
     team = placement = None
-    nowhere, by_metres, by_degrees = 0, {}, {}
+    unplaced, by_metres, by_degrees = 0, {}, {}
     for kind, fields in recorded_messages(name):
         if kind == "GLOBAL_POSITION_INT":
             place = Place.scaled(fields["lat"], fields["lon"], fields["alt"])
@@ -60,7 +60,7 @@ def test_recorded_local_and_global_positions_agree(name):
         if kind == "LOCAL_POSITION_NED" and placement is not None:
             frame = frame_of(placement, state)
             if frame is None:
-                nowhere += 1
+                unplaced += 1
             else:
                 by_metres[fields["time_boot_ms"]] = frame.to_team(state.position)
     both = [at for at in by_metres if by_degrees.get(at) is not None]
@@ -70,4 +70,4 @@ def test_recorded_local_and_global_positions_agree(name):
         assert math.dist(by_metres[at][:2], (north, east)) < 0.02
         assert by_metres[at][2] == pytest.approx(team.altitude - by_degrees[at].altitude, abs=NEAR[stack])
     # An ArduRover sends local positions 11 s before the origin of their frame.
-    assert nowhere > 30 if name == "ap-rover.c-speed" else nowhere == 0
+    assert unplaced > 30 if name == "ap-rover.c-speed" else unplaced == 0

@@ -97,9 +97,9 @@ def test_read_only_marks_are_read():
     ],
 )
 def test_malformed_parameter_file_is_refused_with_its_line(text, where):
-    with pytest.raises(MissionFileError) as caught:
+    with pytest.raises(MissionFileError) as error:
         read(text)
-    assert (caught.value.file, caught.value.where) == ("f.param", where)
+    assert (error.value.file, error.value.where) == ("f.param", where)
 
 
 def test_autopilot_owned_and_restart_parameters_are_listed():

@@ -41,10 +41,10 @@ def shape(fence):
 
 
 def refusal(data):
-    with pytest.raises(MissionFileError) as caught:
+    with pytest.raises(MissionFileError) as error:
         read(data)
-    assert caught.value.file == "f.plan"
-    return caught.value
+    assert error.value.file == "f.plan"
+    return error.value
 
 
 # -- .plan ----------------------------------------------------------------------------------------------
@@ -122,9 +122,9 @@ def test_jump_target_is_converted_to_the_item_number():
 
 
 def test_missing_coordinates_mean_the_current_position():
-    nowhere = simple(TAKEOFF)
-    nowhere["params"][4:6] = [None, None]
-    file = read(plan(nowhere))
+    without_place = simple(TAKEOFF)
+    without_place["params"][4:6] = [None, None]
+    file = read(plan(without_place))
     item = file.items[0].item
     assert (item.x, item.y) == (HERE, HERE)
     assert [(each.x, each.y) for each in file.mission(px4=True)] == [(HERE, HERE)]

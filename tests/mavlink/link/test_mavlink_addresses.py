@@ -47,9 +47,9 @@ def run(sources, seconds, *senders, start=0.0, every=1.0, boards=None):
         for offset, sender in enumerate(senders):
             now = start + number * every + 0.01 * offset
             believed[sender] = sources.on_packet(sender, beat(), now)
-            for asked in sources.due(now):
-                if boards and asked in boards:
-                    believed[asked] = sources.on_packet(asked, boards[asked], now)
+            for source in sources.due(now):
+                if boards and source in boards:
+                    believed[source] = sources.on_packet(source, boards[source], now)
     return believed
 
 
@@ -101,9 +101,9 @@ def test_late_packets_of_the_old_address_are_no_conflict():
 def test_another_vehicle_does_not_replace_a_silent_one(first, has_id):
     """The other vehicle sends while the first one does, or only after it; boards have an id or none."""
     s = Sources(1, LINKS[:1])
-    mine, others = (SAME, version(uid2=b"abd")) if has_id else (version(), version())
+    own, others = (SAME, version(uid2=b"abd")) if has_id else (version(), version())
     run(s, 5.0, A)
-    s.on_packet(A, mine, 5.0)
+    s.on_packet(A, own, 5.0)
     if first == B or not has_id:
         run(s, 5.0, A, B, start=6.0, boards={B: others})
     assert run(s, 20.0, B, start=12.0, boards={B: others}) == {B: False}
@@ -159,7 +159,7 @@ def test_address_is_settled_after_the_listening_time():
 def two_links(first, second, clocks=(None, None)):
     """A vehicle on two links, with this AUTOPILOT_VERSION and clock on each."""
     s = Sources(1, LINKS)
-    asked = 0
+    request_count = 0
     for number in range(20):
         now = 0.5 * number
         for source, message, clock in ((CABLE, first, clocks[0]), (RADIO, second, clocks[1])):
@@ -168,19 +168,19 @@ def two_links(first, second, clocks=(None, None)):
                 s.on_packet(source, attitude(now + clock), now)
             if number == 2 and message is not None:
                 s.on_packet(source, message, now)
-        asked += len(s.due(now))
-    return s, asked
+        request_count += len(s.due(now))
+    return s, request_count
 
 
 SAME = version(uid2=b"abc")
 
 
 def test_same_board_over_two_links_is_one_vehicle():
-    s, asked = two_links(SAME, SAME)
+    s, x = two_links(SAME, SAME)
     assert s.accepts(CABLE)
     assert s.accepts(RADIO)
     assert (s.conflict(9.6), s.is_settled(9.6)) == ("", True)
-    assert 0 < asked <= MAX_QUERIES
+    assert 0 < x <= MAX_QUERIES
 
 
 @pytest.mark.parametrize(
@@ -303,9 +303,9 @@ def test_packets_of_two_vehicles_behind_one_address_are_separated(gap):
         for first in (True, False) if step > 50 else (True,):
             number, booted = (step, 100.0 + now) if first else (step + gap, 7.0 + now)
             message = attitude(booted) if step % 5 == 0 else beat()
-            taken = s.on_packet(CABLE, numbered(message, number), now + 0.005 * (not first))
+            accepted = s.on_packet(CABLE, numbered(message, number), now + 0.005 * (not first))
             if step > 60:
-                believed[first].append(taken)
+                believed[first].append(accepted)
     assert all(believed[True])
     assert not any(believed[False])
     assert len(s.events) == 1

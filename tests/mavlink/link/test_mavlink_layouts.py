@@ -57,16 +57,16 @@ def test_packet_with_one_wrong_bit_is_broken(kind, payload, data):
 
 
 def test_spare_packet_is_not_decoded():
-    asked = []
+    requests = []
 
     def is_spare(header):
-        asked.append(header)
+        requests.append(header)
         return header.system == 3
 
     reader = Reader()
     assert list(reader.feed(packed(0, bytes(9)), is_spare)) == []
     assert len(reader.feed(packed(0, bytes(9), system=4), is_spare)) == 1
-    assert asked == [(3, 1, 0, 7), (4, 1, 0, 7)]
+    assert requests == [(3, 1, 0, 7), (4, 1, 0, 7)]
 
 
 # TEST_TYPES has a field of one character; pymavlink cannot pack its own decoded value.

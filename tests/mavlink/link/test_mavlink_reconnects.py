@@ -234,9 +234,9 @@ async def test_udpin_binds_an_address_later_when_it_becomes_free(monkeypatch, ta
     recorded = RecordedLink()
     one, _ = await vehicle(b"1", "127.0.0.2")
     other, _ = await vehicle(b"2", "127.0.0.3")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.3", 0))
-        port = taken.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
+        occupied.bind(("127.0.0.3", 0))
+        port = occupied.getsockname()[1]
         found = [(socket.AF_INET, (f"127.0.0.{host}", port)) for host in (2, 3)]
 
         async def addresses(self, within):
@@ -245,7 +245,7 @@ async def test_udpin_binds_an_address_later_when_it_becomes_free(monkeypatch, ta
         monkeypatch.setattr(Lookup, "addresses", addresses)
         link = recorded.link(f"udpin:robot.local:{port}")
         await link.open()
-        (kept,) = link._sockets.open
+        (sock,) = link._sockets.open
         assert [note for note in recorded.notes if "127.0.0.3: Address already in use" in note]
         await asyncio.sleep(0.3)
         assert sum("127.0.0.3" in note for note in recorded.notes) == 1
@@ -258,7 +258,7 @@ async def test_udpin_binds_an_address_later_when_it_becomes_free(monkeypatch, ta
 
     await until(comes)
     assert any("it listens at 127.0.0.3" in note for note in recorded.notes)
-    assert kept in link._sockets.open
+    assert sock in link._sockets.open
     # Each peer is answered over the socket that received its packet.
     link.send(b"?")
     await until(lambda: ("127.0.0.3", port) in other.peers)
@@ -281,12 +281,12 @@ def test_ipv6_endpoints_are_parsed(text, parts):
 
 
 async def test_unresolved_name_has_one_lookup_at_a_time(monkeypatch):
-    asked = []
+    requests = []
 
     loop = asyncio.get_running_loop()
 
     async def hangs(*names, **_):
-        asked.append(names)
+        requests.append(names)
         await asyncio.sleep(3600.0)
 
     monkeypatch.setattr(loop, "getaddrinfo", hangs)
@@ -294,7 +294,7 @@ async def test_unresolved_name_has_one_lookup_at_a_time(monkeypatch):
     for _ in range(3):
         with pytest.raises(TimeoutError, match="not resolved within"):
             await lookup.addresses(0.01)
-    assert len(asked) == 1
+    assert len(requests) == 1
     assert not lookup.is_literal
     assert Lookup("[fe80::1%eth0]", 1, socket.SOCK_STREAM).is_literal
 

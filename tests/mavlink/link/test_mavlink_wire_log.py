@@ -103,8 +103,8 @@ CONTROL = dialect.MAVLink_change_operator_control_message(1, 0, 0, b"s3cret")
 def test_no_message_with_a_key_or_password_is_logged(tmp_path, message, version):
     packer = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     packet = bytes(message.pack(packer, force_mavlink1=version == 1))
-    beat = bytes(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3).pack(packer))
-    logged(tmp_path, packet, beat)
+    heartbeat = bytes(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3).pack(packer))
+    logged(tmp_path, packet, heartbeat)
     (path,) = tmp_path.iterdir()
     assert b"s3cret" not in path.read_bytes()
     assert [message.get_type() for message in messages_in(tmp_path)] == ["HEARTBEAT"]

@@ -31,8 +31,8 @@ def test_descent_faster_than_the_descent_speed_is_a_fall():
     monitor = DescentMonitor()
     monitor.expect(DESCENT)
     monitor.may_descend(1.5, 0.5)
-    ((at_, words),) = flown(monitor, 1.5, 2.0, 2.5, 2.5)
-    assert words.startswith("it sinks at 2.5 m/s")
+    ((at_, text),) = flown(monitor, 1.5, 2.0, 2.5, 2.5)
+    assert text.startswith("it sinks at 2.5 m/s")
     assert at_ < 4.0
 
 
@@ -83,16 +83,16 @@ def test_height_loss_is_a_fall_at_any_sink_rate(sink, goal):
     monitor = DescentMonitor()
     monitor.may_descend(1.5, 0.5)
     monitor.expect(Expected(goal))
-    ((at_, words),) = flown(monitor, 0.0, *[sink] * 6)
-    assert words.startswith("it falls: 1.")
+    ((at_, text),) = flown(monitor, 0.0, *[sink] * 6)
+    assert text.startswith("it falls: 1.")
     assert at_ < 1.0 + 1.0 / sink + 1.0
 
 
 @pytest.mark.parametrize("sink", [0.4, 0.8])
 def test_height_loss_under_velocity_commands_is_a_fall(sink):
     monitor = DescentMonitor()
-    ((at_, words),) = flown(monitor, 0.0, *[sink] * 6, velocity=0.0)
-    assert words.startswith("it falls: 1.")
+    ((at_, text),) = flown(monitor, 0.0, *[sink] * 6, velocity=0.0)
+    assert text.startswith("it falls: 1.")
     assert at_ < 1.0 + 1.0 / (sink - 0.18) + 1.0
 
 
@@ -110,8 +110,8 @@ def test_sinking_below_the_goal_of_a_descent_is_a_fall():
     monitor.may_descend(1.5, 0.5)
     monitor.expect(Expected(35.0))
     assert flown(monitor, *[1.0] * 5) == []
-    ((_, words),) = flown(monitor, *[0.5] * 5, height=35.0, began=5.1)
-    assert words.startswith("it falls: 1.")
+    ((_, text),) = flown(monitor, *[0.5] * 5, height=35.0, began=5.1)
+    assert text.startswith("it falls: 1.")
 
 
 def test_fall_ends_on_the_ground():
@@ -132,7 +132,7 @@ def test_fall_ends_on_the_ground():
 @on_bench("bench", ttl=1.0, given="flavour")
 async def test_fall_ends_a_flight_by_setpoints(b, fc, /, flavour, by):
     await up(fc, 20.0)
-    began = at(3.0, lambda: b.faults.apply(["motor_power=0.6"]))
+    started = at(3.0, lambda: b.faults.apply(["motor_power=0.6"]))
 
     async def flight():
         for number in range(100):
@@ -142,7 +142,7 @@ async def test_fall_ends_a_flight_by_setpoints(b, fc, /, flavour, by):
             await asyncio.sleep(0.2)
 
     ended, reason = await fails(b, flight())
-    assert 0.0 < ended - began < 2.0
+    assert 0.0 < ended - started < 2.0
     assert f"{by} refused: it sinks at " in reason
     assert b.autopilot.vehicle.place[2] < -10.0
 
@@ -212,10 +212,10 @@ def test_slow_sinking_is_reported_as_a_fall_in_every_motion(bench, flavour, what
     async def mission(fc):
         await up(fc, 20.0)
         await fc.execute("hold", [])
-        began = at(3.0, lambda: b.faults.apply(["motor_power=0.745"]))
+        started = at(3.0, lambda: b.faults.apply(["motor_power=0.745"]))
         flying = asyncio.ensure_future(flight(fc))
         await b.until(lambda: bool(fc.motion.monitor.falling))
-        assert 1.0 < asyncio.get_running_loop().time() - began < (4.0 if what == "setVelocity" else 3.5)
+        assert 1.0 < asyncio.get_running_loop().time() - started < (4.0 if what == "setVelocity" else 3.5)
         assert fc.motion.monitor.falling.startswith("it falls: 1.")
         if what != "hold":
             _, reason = await fails(b, flying)

@@ -39,14 +39,14 @@ def condensed(messages):
 
 def recorded(name, note, seconds):
     """The events from the note of a fault on."""
-    began, messages = None, []
+    started, messages = None, []
     for event in events(name):
-        if note in event.note and began is None:
-            began = event.at
-        if began is not None and event.at > began + seconds:
+        if note in event.note and started is None:
+            started = event.at
+        if started is not None and event.at > started + seconds:
             break
-        if began is not None and event.message is not None:
-            messages.append((event.at - began, event.message))
+        if started is not None and event.message is not None:
+            messages.append((event.at - started, event.message))
     return condensed(messages)
 
 
@@ -80,8 +80,8 @@ class Flight:
         return next((each.result for each in answers if each.get_type() == "COMMAND_ACK"), None)
 
     def goes(self, north):
-        given = (north, 0.0, -8.0, *[0.0] * 8)
-        self.send(dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, *given))
+        fields = (north, 0.0, -8.0, *[0.0] * 8)
+        self.send(dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, *fields))
 
     def wait(self, seconds):
         for _ in range(round(seconds / STEP)):
@@ -91,66 +91,66 @@ class Flight:
 
     def events_since(self, began):
         changes = condensed([(at - began, message) for at, message in self.received])
-        return [(at, words) for at, words in changes if at >= 0.0]
+        return [(at, text) for at, text in changes if at >= 0.0]
 
 
 def recorded_heights(name, note, seconds):
     """Seconds and height in metres, from the note of a fault on."""
-    heights, began = [], None
+    heights, started = [], None
     for event in events(name):
-        if note in event.note and began is None:
-            began = event.at
-        if began is not None and event.at > began + seconds:
+        if note in event.note and started is None:
+            started = event.at
+        if started is not None and event.at > started + seconds:
             break
         place = event.message is not None and event.message.get_type() == "LOCAL_POSITION_NED"
-        if began is not None and place:
-            heights.append((event.at - began, -event.message.z))
+        if started is not None and place:
+            heights.append((event.at - started, -event.message.z))
     return heights
 
 
 def assert_falls_alike(flight, heights, apart):
     """Assert that the fake falls like the real vehicle at each time from now on."""
-    began, top = flight.autopilot.now, -flight.autopilot.vehicle.place[2]
+    started, top = flight.autopilot.now, -flight.autopilot.vehicle.place[2]
     for at, height in heights:
-        flight.wait(began + at - flight.autopilot.now)
+        flight.wait(started + at - flight.autopilot.now)
         lost, lost_really = top + flight.autopilot.vehicle.place[2], heights[0][1] - height
         assert abs(lost - lost_really) < apart, f"{lost:.1f} m after {at:.1f} s, really {lost_really:.1f} m"
 
 
 def assert_alike(real, fake):
-    assert [words for _, words in fake] == [words for _, words in real]
-    for (at, words), (was, _) in zip(fake, real, strict=True):
-        assert abs(at - was) <= NEAR, f"{words}: after {at:.1f} s, really {was:.1f} s"
+    assert [text for _, text in fake] == [text for _, text in real]
+    for (at, text), (was, _) in zip(fake, real, strict=True):
+        assert abs(at - was) <= NEAR, f"{text}: after {at:.1f} s, really {was:.1f} s"
 
 
 def test_gps_loss_leads_to_the_ekf_failsafe_as_recorded():
     real = recorded("ap-copter.gauntlet-a", "GPS off for 25 s: begins", 9.0)
     flight = Flight()
-    began = flight.autopilot.now
+    started = flight.autopilot.now
     flight.fault("gps_loss=true")
     flight.wait(9.0)
-    assert any("EKF Failsafe: changed to LAND Mode" in words for _, words in real)
-    assert_alike(real, flight.events_since(began))
+    assert any("EKF Failsafe: changed to LAND Mode" in text for _, text in real)
+    assert_alike(real, flight.events_since(started))
     assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) != dialect.MAV_RESULT_ACCEPTED
 
 
 def test_battery_failsafe_acts_once_and_guided_ends_it_as_recorded():
     """The real failsafe acts by voltage after 10 s (BATT_LOW_TIMER), the fake's by charge."""
     real = recorded("ap-copter.gauntlet-a", "battery low (10 V), BATT_FS_LOW_ACT 1 land: begins", 48.0)
-    acts = next(at for at, words in real if words.startswith("mode"))
-    back = next(at for at, words in real if words.startswith(f"mode {GUIDED},") and at > acts)
+    acts = next(at for at, text in real if text.startswith("mode"))
+    back = next(at for at, text in real if text.startswith(f"mode {GUIDED},") and at > acts)
     flight = Flight(BATT_FS_LOW_ACT=1, BATT_LOW_MAH=660)
     flight.fault("battery=0.19")
-    began = flight.autopilot.now
+    started = flight.autopilot.now
     flight.wait(back - acts)
     assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) == dialect.MAV_RESULT_ACCEPTED
     flight.goes(60.0)
     flight.wait(20.0)
     fake = [
-        (at, words.split(" 1")[0] if "is low" in words else words) for at, words in flight.events_since(began)
+        (at, text.split(" 1")[0] if "is low" in text else text) for at, text in flight.events_since(started)
     ]
-    real = [(at - acts, words.split(" 1")[0] if "is low" in words else words) for at, words in real]
-    assert sorted(words for _, words in fake) == sorted(words for _, words in real)
+    real = [(at - acts, text.split(" 1")[0] if "is low" in text else text) for at, text in real]
+    assert sorted(text for _, text in fake) == sorted(text for _, text in real)
     assert flight.autopilot.mode == "GUIDED"
     assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, LAND) == dialect.MAV_RESULT_ACCEPTED
     flight.wait(25.0)
@@ -158,18 +158,18 @@ def test_battery_failsafe_acts_once_and_guided_ends_it_as_recorded():
     flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED)
     assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1) == dialect.MAV_RESULT_FAILED
     flight.wait(0.1)
-    assert "Arm: Battery failsafe" in [words for _, words in flight.events_since(began)]
+    assert "Arm: Battery failsafe" in [text for _, text in flight.events_since(started)]
 
 
 def test_weak_motor_falls_as_recorded():
     """Compares the heights from the fault to the ground."""
     heights = recorded_heights("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.1)
     flight = Flight()
-    began = flight.autopilot.now
+    started = flight.autopilot.now
     flight.fault("motor_power=0.6")
     assert_falls_alike(flight, heights, 1.2)
-    texts = [words for _, words in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
-    assert [words for _, words in flight.events_since(began)] == texts
+    texts = [text for _, text in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
+    assert [text for _, text in flight.events_since(started)] == texts
 
 
 @pytest.mark.parametrize(("name", "note", "fault"), [
@@ -179,10 +179,10 @@ def test_weak_motor_falls_as_recorded():
 def test_flight_continues_with_gps_glitch_or_without_compasses(name, note, fault):
     real = recorded(name, note, 7.0)
     flight = Flight()
-    began = flight.autopilot.now
+    started = flight.autopilot.now
     flight.fault(fault)
     flight.wait(7.0)
-    assert_alike(real, flight.events_since(began))
+    assert_alike(real, flight.events_since(started))
     assert flight.autopilot.mode == "GUIDED"
 
 
@@ -199,22 +199,22 @@ def test_forced_disarm_in_flight_falls_and_can_rearm_as_recorded():
 
 def test_goal_of_another_station_is_flown_without_mode_or_text():
     """The packet of the recording: a goal at (-20, -20), 8 m up, from system 77."""
-    goal, began, real, places = (-20.0, -20.0), None, [], []
+    goal, started, real, places = (-20.0, -20.0), None, [], []
     for event in events("ap-copter.gauntlet-a"):
         if "second station: GUIDED and a goal of its own" in event.note:
-            began = event.at
-        if began is None or event.message is None or event.at > began + 10.0:
+            started = event.at
+        if started is None or event.message is None or event.at > started + 10.0:
             continue
-        real.append((event.at - began, event.message))
+        real.append((event.at - started, event.message))
         if event.message.get_type() == "LOCAL_POSITION_NED":
             places.append((event.message.x, event.message.y))
     assert condensed(real) == []
     assert math.dist(places[-1], goal) < math.dist(places[0], goal) - 10.0
     flight = Flight()
-    began, place = flight.autopilot.now, flight.autopilot.vehicle.place[:2]
+    started, place = flight.autopilot.now, flight.autopilot.vehicle.place[:2]
     other = dialect.MAVLink(None, srcSystem=77, srcComponent=190)
-    given = dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 3576, *goal, -8.0, *[0.0] * 8)
-    flight.fake.receive("other", given.pack(other))
+    fields = dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 3576, *goal, -8.0, *[0.0] * 8)
+    flight.fake.receive("other", fields.pack(other))
     flight.wait(10.0)
-    assert flight.events_since(began) == []
+    assert flight.events_since(started) == []
     assert math.dist(flight.autopilot.vehicle.place[:2], goal) < math.dist(place, goal) - 5.0

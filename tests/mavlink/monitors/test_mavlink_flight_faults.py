@@ -69,9 +69,9 @@ async def test_one_foreign_setpoint_is_a_takeover_within_two_seconds(b, fc, /, k
         if known:
             b.links[0].on_data(data)
 
-    began = at(6.25, interferes)
+    started = at(6.25, interferes)
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "another station has sent it elsewhere" in reason
     assert ("system 77" in reason) == known
     assert fc.taken_over()
@@ -96,19 +96,19 @@ async def test_continuous_foreign_setpoints_end_the_motion(b, fc, /):
             await asyncio.sleep(0.05)
 
     other = asyncio.create_task(interfere())
-    began = asyncio.get_running_loop().time()
+    started = asyncio.get_running_loop().time()
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert "another station" in reason or "flies away from its goal" in reason
-    assert ended - began < 4.0
+    assert ended - started < 4.0
     other.cancel()
 
 
 @on_bench("bench", flavour="px4", limits={"speed": 3.0})
 async def test_foreign_reposition_of_px4_in_flight_is_a_takeover(b, fc, /):
     await up(fc, 8.0)
-    began = at(6.0, lambda: foreign(b, reposition(b, -20.0, 0.0, 8.0)))
+    started = at(6.0, lambda: foreign(b, reposition(b, -20.0, 0.0, 8.0)))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "AUTO.LOITER" in reason
     assert "system" not in reason, "its messages are not received here"
     assert fc.taken_over()
@@ -125,9 +125,9 @@ async def test_foreign_setpoints_to_px4_in_offboard_are_a_takeover(b, fc, /):
             await asyncio.sleep(0.03)
 
     other = asyncio.create_task(interfere())
-    began = asyncio.get_running_loop().time() + 6.0
+    started = asyncio.get_running_loop().time() + 6.0
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "another station has sent it elsewhere" in reason
     assert not b.driver.devices["a1.fc"].motion.stream.is_running, "the driver stops its own setpoints"
     other.cancel()
@@ -154,13 +154,13 @@ async def test_own_goals_on_a_bad_link_are_no_takeover(b, fc, /, flavour):
 @on_bench("bench", limits={"speed": 3.0}, given="flavour")
 async def test_weak_motor_ends_a_motion_before_the_ground(b, fc, /, flavour, goal):
     await up(fc, 8.0)
-    began = at(5.0, lambda: b.faults.apply(["motor_power=0.6"]))
+    started = at(5.0, lambda: b.faults.apply(["motor_power=0.6"]))
     ended, reason = await fails(b, fc.execute("goTo", list(goal)))
-    assert ended - began < 2.5
+    assert ended - started < 2.5
     assert "it falls" in reason or "it sinks" in reason
     assert b.autopilot.vehicle.airborne
     await asyncio.sleep(6.0)
-    assert [why.startswith("it crashed: it hit the ground at 2.") for why in b.lock_outs] == [True]
+    assert [refusal.startswith("it crashed: it hit the ground at 2.") for refusal in b.lock_outs] == [True]
     with pytest.raises(DeviceError, match=r"refused: it hit the ground .* estop --lift"):
         await fc.execute("goTo", [0.0, 0.0, -8.0])
     assert not await fc.execute("isReady", []) or b.autopilot.armed
@@ -177,8 +177,8 @@ async def test_forced_disarm_in_flight_is_a_crash_and_blocks_arming(b, fc, /, fl
         with pytest.raises(DeviceError, match="Inspect it"):
             await fc.execute(what, values)
     assert "crashed" in await fc.execute("whyNotReady", [])
-    (why,) = b.lock_outs
-    assert why.startswith("it crashed: its motors went off in the air")
+    (refusal,) = b.lock_outs
+    assert refusal.startswith("it crashed: its motors went off in the air")
     await asyncio.sleep(3.0)
     # These calls pass the guard after an operator has ended the lock-out.
     await fc.execute("release", [])
@@ -214,9 +214,9 @@ async def test_ordinary_landings_and_descents_are_no_crashes(b, fc, /, flavour):
 @on_bench("bench", limits={"speed": 3.0, "radius": 100.0}, given="flavour")
 async def test_gps_loss_ends_a_motion_within_two_seconds(b, fc, /, flavour):
     await up(fc, 8.0)
-    began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
+    started = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "its GNSS fix is lost" in reason
     assert b.values["gpsFix"] < 3
     for what, values in (("goTo", [0.0, 0.0, -8.0]), ("hold", []), ("setVelocity", [1.0, 0.0, 0.0])):

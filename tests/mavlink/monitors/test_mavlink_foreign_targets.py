@@ -18,8 +18,8 @@ HOME, GOAL, ELSEWHERE = (0.0, 0.0, -8.0), (60.0, 0.0, -8.0), (-20.0, -20.0, -8.0
 
 
 def velocity(north, east, down, target=1):
-    given = (0.0, 0.0, 0.0, north, east, down, *[0.0] * 5)
-    return dialect.MAVLink_set_position_target_local_ned_message(0, target, 1, 1, 0x0DC7, *given)
+    fields = (0.0, 0.0, 0.0, north, east, down, *[0.0] * 5)
+    return dialect.MAVLink_set_position_target_local_ned_message(0, target, 1, 1, 0x0DC7, *fields)
 
 
 def interfered(b, message, *, after, pause=0.2, known=True):
@@ -58,9 +58,9 @@ async def test_foreign_velocities_are_a_takeover_within_two_seconds(b, fc, /, fl
     else:
         await fc.execute("arm", [])
     pause = 0.03 if flavour == "px4" else 0.2
-    began, other = interfered(b, velocity(*sent), after=6.25, pause=pause)
+    started, other = interfered(b, velocity(*sent), after=6.25, pause=pause)
     ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert words in reason
     assert "system 77, component 190" in reason
     assert fc.taken_over()
@@ -71,7 +71,7 @@ async def test_foreign_velocities_are_a_takeover_within_two_seconds(b, fc, /, fl
 @on_bench("bench", limits={"speed": 3.0}, ttl=1.0)
 async def test_takeover_ends_a_flight_by_velocities(b, fc, /, message):
     await up(fc)
-    began, other = interfered(b, message, after=3.03, pause=0.1)
+    started, other = interfered(b, message, after=3.03, pause=0.1)
 
     async def flight():
         while True:
@@ -79,7 +79,7 @@ async def test_takeover_ends_a_flight_by_velocities(b, fc, /, message):
             await asyncio.sleep(0.2)
 
     ended, reason = await fails(b, flight())
-    assert 0.0 < ended - began < 2.0
+    assert 0.0 < ended - started < 2.0
     assert "setVelocity refused: another station has sent it elsewhere" in reason
     other.cancel()
 
@@ -87,9 +87,9 @@ async def test_takeover_ends_a_flight_by_velocities(b, fc, /, message):
 @on_bench("bench")
 async def test_takeover_in_takeoff_or_hover_is_detected(b, fc, /):
     await fc.execute("arm", [])
-    began = at(4.0, lambda: foreign(b, setpoint(*ELSEWHERE)))
+    started = at(4.0, lambda: foreign(b, setpoint(*ELSEWHERE)))
     ended, reason = await fails(b, fc.execute("takeoff", [20.0]))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "takeoff ended early: another station has sent it elsewhere, to a place 28 m away" in reason
     await fc.execute("release", [])
     await fc.execute("hold", [])
@@ -105,9 +105,9 @@ async def test_foreign_height_is_a_takeover_although_a_router_echoes(b, fc, /):
     await up(fc)
     send = b.links[0].send
     b.links[0].send = lambda data: (send(data), b.links[0].on_data(data))
-    began = at(6.25, lambda: foreign(b, setpoint(60.0, 0.0, -15.0)))
+    started = at(6.25, lambda: foreign(b, setpoint(60.0, 0.0, -15.0)))
     ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "sent it elsewhere, 7 m from its goal;" in reason, (
         "no message of the other station was received here"
     )

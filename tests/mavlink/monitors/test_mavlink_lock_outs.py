@@ -72,10 +72,10 @@ def test_lock_out_persists_over_guard_host_and_computer_restarts(tmp_path, lfiel
         team.run(0.5)
         getattr(team, ends)("alpha")
         team.boot("alpha")
-    began = len(team.log)
+    started = len(team.log)
     team.run(until="'lfield estop --lift' must come first")
     team.run(6.0)
-    tried = [line.text for line in team.log[began:] if "done:" in line.text]
+    tried = [line.text for line in team.log[started:] if "done:" in line.text]
     assert len(tried) >= 2
     assert {text.split("done:")[1].strip() for text in tried} == {""}
     life = fleet.runs["alpha"]

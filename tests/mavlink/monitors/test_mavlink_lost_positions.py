@@ -31,9 +31,9 @@ async def test_fix_lost_for_one_second_does_not_end_a_motion(b, fc, /, flavour):
 @on_bench("bench", limits={"speed": 3.0}, faults=("loss=0.2", "delay=0.5"), ttl=1.0, given="flavour")
 async def test_fix_loss_over_a_slow_radio_ends_a_motion_within_two_seconds(b, fc, /, flavour):
     await up(fc)
-    began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
+    started = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "its GNSS fix is lost" in reason
     assert b.values["gpsFix"] < 3, "the value is current where the exception is caught"
 
@@ -54,9 +54,9 @@ async def test_mode_that_needs_a_position_is_refused_without_a_fix(b, fc, /, fla
 @on_bench("bench", kind="rover", safe_state="return")
 async def test_rover_without_position_holds_instead_of_returning(b, fc, /):
     await fc.execute("arm", [])
-    began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
+    started = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, 0.0]))
-    assert ended - began < 2.0
+    assert ended - started < 2.0
     assert "hold() needs no position" in reason
     await fc.make_safe()
     assert b.autopilot.mode == "HOLD"
@@ -86,10 +86,10 @@ async def test_motion_continues_until_both_receivers_have_no_fix(b, fc, /, secon
     await fc.make_safe()
     assert b.autopilot.mode == "BRAKE", "no landing"
     await fc.execute("release", [])
-    began = at(3.0, second.update, {"second": 1})
+    started = at(3.0, second.update, {"second": 1})
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     # The second receiver is polled every 0.4 s.
-    assert 0.0 < ended - began < 2.0
+    assert 0.0 < ended - started < 2.0
     assert "its GNSS fix is lost (GPS_FIX_TYPE 1)" in reason
 
 

@@ -75,5 +75,5 @@ def test_mission_target_is_checked_against_the_limits():
     assert "height of 32 m" in limits.excess(target(0.0, 0.0, 520.0), HOME, flies=True)
     assert limits.excess(target(0.0, 0.0, 520.0), HOME, flies=False) == "", "a rover has no heights"
     assert limits.excess(target(0.0, 0.0, float("nan")), HOME, flies=True) == ""
-    nowhere = dialect.MAVLink_position_target_global_int_message(0, 5, 0, 0, 0, 0.0, *[0.0] * 8)
-    assert limits.excess(nowhere, HOME, flies=True) == ""
+    without_place = dialect.MAVLink_position_target_global_int_message(0, 5, 0, 0, 0, 0.0, *[0.0] * 8)
+    assert limits.excess(without_place, HOME, flies=True) == ""

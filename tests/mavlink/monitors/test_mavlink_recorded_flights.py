@@ -67,7 +67,7 @@ def faulty(name, note, *, within=60.0, goals=PATROL):
             watched.monitor.release()
         if begins is not None and event.at > begins + within:
             break
-    return [(at - begins, words) for at, words in watched.found], watched
+    return [(at - begins, text) for at, text in watched.found], watched
 
 
 def test_recorded_weak_motor_is_a_fall_before_the_impact():
@@ -87,15 +87,15 @@ def test_recorded_disarm_in_flight_is_a_crash_before_the_impact():
     found, watched = faulty(
         "ap-copter.gauntlet-b", "forced disarm by a second station in the air", within=1.3
     )
-    ((at, words),) = found
-    assert words.startswith("its motors went off in the air, ")
+    ((at, text),) = found
+    assert text.startswith("its motors went off in the air, ")
     assert at < 0.8
-    assert watched.reports.lock_outs[-1] == f"it crashed: {words}"
+    assert watched.reports.lock_outs[-1] == f"it crashed: {text}"
 
 
 def test_recorded_flight_termination_is_a_fall():
     watched = watch("px4-copter.g-commands-armed")
-    assert [words.split(" ")[1] for _, words in watched.found][:1] in (["sinks"], ["falls:"], ["is"])
+    assert [text.split(" ")[1] for _, text in watched.found][:1] in (["sinks"], ["falls:"], ["is"])
 
 
 def test_recorded_gps_loss_is_found_within_a_second():

@@ -61,15 +61,15 @@ async def test_takeoff_while_disarmed_is_refused(b, fc, /):
 
 
 def test_long_refusal_reason_is_joined_from_its_chunks(bench):
-    why = "compass not calibrated, and the safety switch is on, and there is no logging"
-    b = bench(refuse_arming=why)
+    reason = "compass not calibrated, and the safety switch is on, and there is no logging"
+    b = bench(refuse_arming=reason)
 
     async def mission(fc):
         with pytest.raises(DeviceError) as error:
             await fc.execute("arm", [])
         return refusal(error)
 
-    assert b.run(mission)[1] == f"arm refused: FAILED (4), Arm: {why}"
+    assert b.run(mission)[1] == f"arm refused: FAILED (4), Arm: {reason}"
 
 
 @on_bench("bench")
@@ -303,14 +303,14 @@ async def test_global_goals_are_checked_against_the_limits(b, fc, /):
     latitude, longitude, _ = b.values["globalPosition"]
     await fc.execute("goToGlobal", [latitude, longitude + 1e-4, 6.0])
     assert b.values["position"] == pytest.approx([0.0, 7.53, -6.0], abs=0.6)
-    for goal, words in (
+    for goal, text in (
         ([latitude + 1e-3, longitude, 6.0], "beyond the limit of 50 m"),
         ([latitude, longitude, 21.0], "above the limit of 20 m"),
         ([math.nan, longitude, 6.0], "requires a latitude"),
         ([latitude, 181.0, 6.0], "requires a latitude"),
         ([latitude, longitude, math.nan], "finite"),
     ):
-        with pytest.raises(DeviceError, match=words):
+        with pytest.raises(DeviceError, match=text):
             await fc.execute("goToGlobal", goal)
 
 
@@ -339,13 +339,13 @@ async def test_orbit_completes_a_circle_and_holds(b, fc, /):
     await flight
     assert b.values["mode"] == "BRAKE"
     assert max(courses) < 10.5
-    for arguments, words in (
+    for arguments, text in (
         ([28.0, 0.0, -6.0, 8.0, 3.0, 1.0], "beyond the limit of 30 m"),
         ([0.0, 0.0, -6.0, 8.0, 5.0, 1.0], "above the limit of 4 m/s"),
         ([0.0, 0.0, -6.0, 0.0, 3.0, 1.0], "requires a radius"),
         ([0.0, 0.0, -6.0, 8.0, 3.0, 0.0], "turns other than 0"),
     ):
-        with pytest.raises(DeviceError, match=words):
+        with pytest.raises(DeviceError, match=text):
             await fc.execute("orbit", arguments)
     assert len(quarters) == 4
 

@@ -56,7 +56,8 @@ def test_team_frame_metres_are_true_distances(latitude, longitude, place, radius
 def test_autopilots_with_different_radii_agree_on_a_position(latitude, longitude, spots, place):
     team, base = Origin(latitude, longitude, 50.0), Place(latitude, longitude, 50.0)
     one, other = (
-        GeodeticFrame(team, base.shifted(spot), r) for spot, r in zip(spots, RADII.values(), strict=True)
+        GeodeticFrame(team, base.shifted(position), r)
+        for position, r in zip(spots, RADII.values(), strict=True)
     )
     own, others = one.from_team(place), other.from_team(place)
     ones, their = one.origin.shifted(own, one.radius), other.origin.shifted(others, other.radius)
@@ -200,7 +201,7 @@ def test_goto_is_refused_until_the_origin_is_reported(bench):
 
     flight.filter = without_origin
 
-    async def story(device):
+    async def scenario(device):
         await flight.until(lambda: "armed" in flight.values)
         assert "position" not in flight.values
         assert "heading" not in flight.values
@@ -214,7 +215,7 @@ def test_goto_is_refused_until_the_origin_is_reported(bench):
         await device.execute("goTo", [304.0, 0.0, -24.0])
         assert flight.values["position"] == pytest.approx([304.0, 0.0, -24.0], abs=0.7)
 
-    flight.run(story)
+    flight.run(scenario)
 
 
 def test_px4_uses_its_own_earth_radius():

@@ -222,9 +222,9 @@ async def test_lost_correction_is_repeated_without_a_breach(b, fc, /):
 
     def lose_two(data):
         (message,) = Reader().feed(data)
-        asked = getattr(message, "command", 0)
-        if asked == dialect.MAV_CMD_DO_CHANGE_SPEED and len(lost) < 2:
-            lost.append(asked)
+        command = getattr(message, "command", 0)
+        if command == dialect.MAV_CMD_DO_CHANGE_SPEED and len(lost) < 2:
+            lost.append(command)
         else:
             send(data)
 

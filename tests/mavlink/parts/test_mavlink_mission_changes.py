@@ -40,11 +40,11 @@ def change(b, items, kind=PlanKind.MISSION):
     wire, number = [*first, *items], 0
     answers = to(b, dialect.MAVLink_mission_count_message(1, 1, len(wire), int(kind)))
     while answers:
-        asked = [m for m in answers if m.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT")]
-        if not asked:
+        requests = [m for m in answers if m.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT")]
+        if not requests:
             assert [m.type for m in answers if m.get_type() == "MISSION_ACK"] == [0]
             return
-        number = asked[0].seq
+        number = requests[0].seq
         answers = to(b, wire[number].message(1, number, kind))
     raise AssertionError(f"no item requested after {number}")
 

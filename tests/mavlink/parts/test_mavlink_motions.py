@@ -221,12 +221,12 @@ def test_goal_ignored_beyond_the_ardupilot_fence_names_the_fence(bench, monkeypa
     async def mission(fc):
         await up(fc)
         loop = asyncio.get_running_loop()
-        for goal, words in (
+        for goal, text in (
             ([40.0, 0.0, -5.0], r"goTo refused: the goal is 40.0 m from home, .* FENCE_RADIUS ends at 30 m"),
             ([0.0, 0.0, -26.0], r"goTo refused: the goal is 26.0 m up, .* FENCE_ALT_MAX ends at 25 m"),
         ):
             start = loop.time()
-            with pytest.raises(DeviceError, match=words):
+            with pytest.raises(DeviceError, match=text):
                 await fc.execute("goTo", goal)
             assert loop.time() - start < 5.0
         await fc.execute("goTo", [10.0, 0.0, -5.0])

@@ -72,11 +72,11 @@ class StandIn:
 
     def check_identity(self): ...
 
-    async def command(self, *words, once=False):
+    async def command(self, *arguments, once=False):
         """The method of Contact (first a name) and of its Exchange (first a number)."""
-        self.asked.append(words)
+        self.asked.append(arguments)
         if self.refused:
-            raise self.error(f"{words[0]} refused")
+            raise self.error(f"{arguments[0]} refused")
         return CommandResult(0, 1)
 
     async def achieve(self, what, state, *command, mode=""):
@@ -207,8 +207,8 @@ def test_watchdog_reports_present_and_required_settings():
 
 def test_camera_trigger_falls_back_to_the_older_command():
     class Old(StandIn):
-        async def command(self, *words, once=False, optional=False, component=""):
-            await super().command(*words, once=once)
+        async def command(self, *arguments, once=False, optional=False, component=""):
+            await super().command(*arguments, once=once)
             return not optional
 
     vehicle = Old()

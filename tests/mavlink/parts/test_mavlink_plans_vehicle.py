@@ -182,11 +182,11 @@ async def test_rally_points_are_set_read_and_cleared(b, fc, /, flavour):
 @BOTH
 @on_bench("bench", given="flavour")
 async def test_parameters_are_set_read_protected_and_listed(b, fc, /, flavour):
-    real, whole = (
+    real, integers = (
         ("MPC_XY_VEL_MAX", "COM_RC_IN_MODE") if flavour == "px4" else ("PILOT_TKOFF_ALT", "RTL_LOIT_TIME")
     )
 
-    for name, value in ((real, 4.5), (whole, 3.0)):
+    for name, value in ((real, 4.5), (integers, 3.0)):
         if name in b.autopilot.parameters:
             await fc.execute("setParameter", [name, value])
             assert await fc.execute("parameter", [name]) == value

@@ -86,8 +86,8 @@ async def test_wait_ready_after_a_cold_start_ends_when_arming_works(b, fc, /, ki
 async def test_checks_passed_in_another_mode_are_no_readiness(b, fc, /, kind, after):
     """The first mode needs no position, so its bit is set early; waitReady waits for the arming mode."""
     await asyncio.sleep(after)
-    if why := await fc.execute("whyNotReady", []):
-        assert "Arm: " in why or f"checks are for {b.autopilot.mode}, but it is armed in GUIDED" in why
+    if reason := await fc.execute("whyNotReady", []):
+        assert "Arm: " in reason or f"checks are for {b.autopilot.mode}, but it is armed in GUIDED" in reason
     await fc.execute("waitReady", [90.0])
     await fc.execute("arm", [])
     assert 42.0 < b.autopilot.uptime < 50.0

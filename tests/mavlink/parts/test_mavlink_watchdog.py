@@ -70,10 +70,10 @@ async def test_serial_is_the_board_uid_also_after_a_reboot(b, fc, /, flavour):
 def test_longer_board_uid_is_preferred(bench, monkeypatch, uid, uid2, serial):
     monkeypatch.setitem(MESSAGES, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, board_report(uid, uid2))
 
-    async def story(fc):
+    async def scenario(fc):
         return await fc.serial()
 
-    assert bench().run(story) == serial
+    assert bench().run(scenario) == serial
 
 
 @pytest.mark.few(6)
@@ -145,10 +145,10 @@ def test_ttl_below_the_autopilot_minimum_needs_a_waiver(bench, flavour, kind, le
 def test_px4_with_setpoints_only_needs_no_watchdog_waiver(bench, waived, seconds):
     b = bench(flavour="px4", ttl=0.5, waivers=(*waived, "device_watchdog"))
 
-    async def story(fc):
+    async def scenario(fc):
         return await fc.watchdog.seconds(1.0)
 
-    assert b.run(story) == seconds
+    assert b.run(scenario) == seconds
     if not waived:
         bench(flavour="px4", ttl=0.5, waivers=()).run(lambda fc: asyncio.sleep(0.1))
 

@@ -145,11 +145,11 @@ def test_file_is_written_and_read(unknown, data):
     server = Server(unknown=unknown)
     _, files = joined(server)
 
-    async def story():
+    async def scenario():
         await files.write("/a", data)
         return await files.read("/a")
 
-    assert run(story(), 60.0) == data
+    assert run(scenario(), 60.0) == data
     assert server.session is None
     assert server.resets == 1
 
@@ -195,14 +195,14 @@ def test_refusal_names_path_and_reason_and_ends_the_session(ask, words):
     server = Server({"/a": b"1", "/big": BIG})
     _, files = joined(server)
 
-    async def story():
+    async def scenario():
         with pytest.raises(DeviceError, match=words):
             await ask(files)
         await asyncio.sleep(1.0)
         # The session has ended, so the next transfer can use it.
         return await files.read("/a")
 
-    assert run(story(), 30.0) == b"1"
+    assert run(scenario(), 30.0) == b"1"
 
 
 def test_full_card_is_reported_and_ends_the_session():
@@ -210,12 +210,12 @@ def test_full_card_is_reported_and_ends_the_session():
     server.breaks_writes = True
     _, files = joined(server)
 
-    async def story():
+    async def scenario():
         with pytest.raises(DeviceError, match=r"No space left on device \(errno 28\)"):
             await files.write("/a", b"data")
         await asyncio.sleep(0.1)
 
-    run(story(), 10.0)
+    run(scenario(), 10.0)
     assert server.session is None
 
 
@@ -237,12 +237,12 @@ def test_generated_file_is_read_to_its_real_end(announced, seed):
     server.opened = lambda request, path, data: opened(request, path, announced.to_bytes(4, "little"))
     _, files = joined(server, seed=seed, loss=0.2 if seed else 0.0)
 
-    async def story():
+    async def scenario():
         with pytest.raises(DeviceError, match="exceeds the limit of 100 bytes"):
             await files.read("@SYS/uarts.txt", 100)
         return await files.read("@SYS/uarts.txt", 256 * 1024)
 
-    assert run(story(), 200.0) == BIG
+    assert run(scenario(), 200.0) == BIG
 
 
 @pytest.mark.parametrize("refusal", [NakCode.FAIL, NakCode.NO_SESSIONS])
@@ -259,13 +259,13 @@ def test_next_transfer_resets_a_session_that_could_not_end():
     end, server.on_terminate = server.on_terminate, lambda request: []
     _, files = joined(server)
 
-    async def story():
+    async def scenario():
         with pytest.raises(DeviceError, match="exceed the limit of 100"):
             await files.read("/big", 100)
         server.on_terminate = end
         assert await files.read("/a") == b"1"
 
-    run(story(), 20.0)
+    run(scenario(), 20.0)
     assert server.resets == 2
 
 
@@ -273,7 +273,7 @@ def test_cancelled_read_ends_its_session():
     server = Server({"/a": BIG}, burst=1, unknown=())
     _, files = joined(server)
 
-    async def story():
+    async def scenario():
         task = asyncio.get_running_loop().create_task(files.read("/a"))
         await asyncio.sleep(0.1)
         assert server.session == "/a"
@@ -284,7 +284,7 @@ def test_cancelled_read_ends_its_session():
         assert server.session is None
         return await files.read("/a")
 
-    assert run(story(), 10.0) == BIG
+    assert run(scenario(), 10.0) == BIG
 
 
 def test_silent_server_is_an_error_within_5_seconds():
@@ -319,8 +319,8 @@ def test_any_payload_is_decoded_or_rejected(payload):
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=DATA))
 def test_any_listing_gives_a_bounded_number_of_entries(data):
-    found, taken = entries(data)
-    assert len(found) <= taken <= len(data)
+    found, used = entries(data)
+    assert len(found) <= used <= len(data)
     assert all(entry.size >= 0 for entry in found)
 
 
@@ -340,7 +340,7 @@ def test_random_server_answers_end_in_bounded_time(noise, opcode, right_number):
             payload[14:16] = b"\0\0"
         return [dialect.MAVLink_file_transfer_protocol_message(0, *TO_US, list(payload))]
 
-    async def story():
+    async def scenario():
         for work in (
             lambda f: f.read("/a", 300),
             lambda f: f.list_folder("/"),
@@ -351,7 +351,7 @@ def test_random_server_answers_end_in_bounded_time(noise, opcode, right_number):
             except DeviceError:
                 continue
 
-    run(story(), 200.0)
+    run(scenario(), 200.0)
 
 
 @given(st.integers(0, 200), st.lists(st.tuples(st.integers(0, 300), st.binary(max_size=80)), max_size=20))

@@ -38,8 +38,10 @@ class Autopilot:
     def __call__(self, message):
         name = message.get_type()
         if name == "PARAM_REQUEST_READ":
-            asked = message.param_id if message.param_index < 0 else sorted(self.values)[message.param_index]
-            return [self.value(asked)] if asked in self.values else []
+            requests = (
+                message.param_id if message.param_index < 0 else sorted(self.values)[message.param_index]
+            )
+            return [self.value(requests)] if requests in self.values else []
         if name == "PARAM_REQUEST_LIST":
             self.listed += 1
             return [self.value(each) for each in sorted(self.values)]
@@ -77,13 +79,13 @@ def test_parameters_are_read_and_written_in_both_encodings(encoding):
     autopilot = Autopilot(encoding, {"SPEED": (2.5, REAL), "COUNT_OF_SIXTEEN": (-7, INT8)})
     _, parameters = joined(autopilot)
 
-    async def story():
+    async def scenario():
         before = (await parameters.read("SPEED"), await parameters.read("COUNT_OF_SIXTEEN"))
         await parameters.write("SPEED", 0.1)
         await parameters.write("COUNT_OF_SIXTEEN", 12)
         return before, await parameters.read("SPEED"), await parameters.read("COUNT_OF_SIXTEEN")
 
-    before, speed, count = run(story(), 5.0)
+    before, speed, count = run(scenario(), 5.0)
     assert before == (2.5, -7)
     assert speed == pytest.approx(0.1)
     assert (count, type(count)) == (12, int)
@@ -95,11 +97,11 @@ def test_integer_that_a_float_would_change_is_exact():
     autopilot = Autopilot(Encoding.BYTEWISE, {"ID": (0, INT32)})
     _, parameters = joined(autopilot)
 
-    async def story():
+    async def scenario():
         await parameters.write("ID", tricky)
         return await parameters.read("ID")
 
-    assert run(story(), 5.0) == tricky
+    assert run(scenario(), 5.0) == tricky
     assert autopilot.values["ID"] == (tricky, INT32)
 
 

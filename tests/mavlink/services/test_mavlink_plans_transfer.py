@@ -142,11 +142,11 @@ def test_mission_is_uploaded_and_downloaded(ardupilot):
     vehicle = Vehicle(ardupilot=ardupilot)
     channel, transfer = joined(vehicle)
 
-    async def story():
+    async def scenario():
         await transfer.upload(PlanKind.MISSION, route(5))
         return await transfer.download(PlanKind.MISSION)
 
-    found = run(story(), 10.0)
+    found = run(scenario(), 10.0)
     assert same(found, route(5))
     assert len(vehicle.plans[0]) == (6 if ardupilot else 5)
     assert coordinates(found, found[0].command)[:3] == pytest.approx([*HERE, 10.0])
@@ -160,13 +160,13 @@ def test_clear_removes_each_plan(ardupilot):
     vehicle = Vehicle(ardupilot=ardupilot)
     channel, transfer = joined(vehicle)
 
-    async def story():
+    async def scenario():
         for kind in PlanKind:
             await transfer.upload(kind, route(2))
             await transfer.clear(kind)
         return [await transfer.download(kind) for kind in PlanKind]
 
-    assert run(story(), 20.0) == [[], [], []]
+    assert run(scenario(), 20.0) == [[], [], []]
     # A mission of ArduPilot is cleared by the upload of home alone.
     assert channel.kinds().count("MISSION_CLEAR_ALL") == (2 if ardupilot else 3)
 
@@ -176,13 +176,13 @@ def test_mission_fence_and_rally_points_are_separate():
     _, transfer = joined(vehicle)
     fence = circle(*HERE, 50.0, inside=True)
 
-    async def story():
+    async def scenario():
         await transfer.upload(PlanKind.MISSION, route(2))
         await transfer.upload(PlanKind.FENCE, fence)
         await transfer.upload(PlanKind.RALLY, rally_points([*HERE, 20.0]))
         await transfer.clear(PlanKind.RALLY)
 
-    run(story(), 20.0)
+    run(scenario(), 20.0)
     assert same(vehicle.plans[0], route(2))
     assert same(vehicle.plans[1], fence)
     assert vehicle.plans[2] == []
@@ -272,7 +272,7 @@ def test_cancelled_upload_is_ended_and_the_next_works():
     vehicle = Vehicle(ardupilot=True)
     channel, transfer = joined(vehicle)
 
-    async def story():
+    async def scenario():
         task = asyncio.get_running_loop().create_task(transfer.upload(PlanKind.MISSION, route(50)))
         await asyncio.sleep(0.1)
         assert vehicle.upload is not None
@@ -283,7 +283,7 @@ def test_cancelled_upload_is_ended_and_the_next_works():
         assert vehicle.upload is None
         await transfer.upload(PlanKind.MISSION, route(3))
 
-    run(story(), 20.0)
+    run(scenario(), 20.0)
     assert dialect.MAV_MISSION_OPERATION_CANCELLED in [
         message.type for message in channel.sent if message.get_type() == "MISSION_ACK"
     ]
@@ -315,14 +315,14 @@ def test_upload_over_any_channel_is_identical_or_an_error(
     vehicle.asks_again = True
     _, transfer = joined(vehicle, seed=seed, loss=loss, repeat=repeat, overtake=overtake)
 
-    async def story():
+    async def scenario():
         try:
             await transfer.upload(PlanKind.MISSION, route(count))
         except DeviceError:
             return None
         return list(vehicle.plans[0])
 
-    held = run(story(), 600.0)
+    held = run(scenario(), 600.0)
     if held is not None:
         assert same(held[1 if ardupilot else 0 :], route(count))
 

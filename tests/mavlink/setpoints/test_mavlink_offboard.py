@@ -191,12 +191,12 @@ async def test_autonomous_px4_motion_needs_a_waiver(b, fc, /, what, values):
 def test_px4_return_is_flown_with_waiver_or_as_safe_state(px4, given):
     b = px4(**given)
 
-    async def story(fc):
+    async def scenario(fc):
         await up(fc, 8.0)
         await fc.execute("returnHome", [])
         assert not b.autopilot.armed
 
-    b.run(story)
+    b.run(scenario)
 
 
 @pytest.mark.few(0)

@@ -65,7 +65,7 @@ def test_rover_approaches_its_speed_without_overshoot(bench, speed):
     """A real rover drove 2.22 m/s for 2 m/s, and 3.44 m/s for 3 m/s."""
     b = bench(kind="rover", limits={"speed": speed})
 
-    async def story(fc):
+    async def scenario(fc):
         await fc.execute("arm", [])
         flight, fastest = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, 0.0])), 0.0
         while not flight.done():
@@ -73,7 +73,7 @@ def test_rover_approaches_its_speed_without_overshoot(bench, speed):
             fastest = max(fastest, math.hypot(*b.autopilot.vehicle.velocity[:2]))
         return fastest
 
-    assert b.run(story) <= speed * STILL_AIR
+    assert b.run(scenario) <= speed * STILL_AIR
 
 
 async def steady(b, task, seconds=8.0):
@@ -93,7 +93,7 @@ async def steady(b, task, seconds=8.0):
 def test_rover_drives_a_velocity_at_its_speed(bench, flavour, limit):
     b = bench(flavour=flavour, kind="rover", limits={"speed": limit})
 
-    async def story(fc):
+    async def scenario(fc):
         async def drive():
             for _ in range(80):
                 await fc.execute("setVelocity", [limit * 0.6, limit * 0.8, 0.0])
@@ -102,7 +102,7 @@ def test_rover_drives_a_velocity_at_its_speed(bench, flavour, limit):
         await fc.execute("arm", [])
         return await steady(b, asyncio.create_task(drive()))
 
-    assert 0.9 * limit < b.run(story) <= STILL_AIR * limit
+    assert 0.9 * limit < b.run(scenario) <= STILL_AIR * limit
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
@@ -111,7 +111,7 @@ def test_rover_drives_a_velocity_at_its_speed(bench, flavour, limit):
 def test_px4_rover_keeps_a_low_speed_in_every_motion(bench, way):
     b, limit = bench(flavour="px4", kind="rover", limits={"speed": 1.0 if way != "goTo" else 0.5}), 1.0
 
-    async def story(fc):
+    async def scenario(fc):
         nonlocal limit
         await fc.execute("arm", [])
         if way == "mission":
@@ -129,7 +129,7 @@ def test_px4_rover_keeps_a_low_speed_in_every_motion(bench, way):
             await fc.execute("setSpeed", [limit])
         return await steady(b, flight)
 
-    assert b.run(story) <= STILL_AIR * limit
+    assert b.run(scenario) <= STILL_AIR * limit
 
 
 @pytest.mark.few(0)
@@ -146,7 +146,7 @@ def test_rover_mission_does_not_overshoot_its_speed(bench, asked, own):
     b = bench(kind="rover", limits={"speed": 3.0 if asked else own})
     b.autopilot.parameters["WP_SPEED"] = own
 
-    async def story(fc):
+    async def scenario(fc):
         if asked:
             await fc.execute("setSpeed", [asked])
         places = [b.fakes[1].place.at(*place) for place in ((40.0, 0.0), (40.0, 40.0), (0.0, 40.0))]
@@ -162,4 +162,4 @@ def test_rover_mission_does_not_overshoot_its_speed(bench, asked, own):
         return fastest
 
     expected = asked or own
-    assert 0.85 * expected < b.run(story) <= expected * STILL_AIR
+    assert 0.85 * expected < b.run(scenario) <= expected * STILL_AIR

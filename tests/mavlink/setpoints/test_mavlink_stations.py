@@ -86,7 +86,7 @@ def test_failsafe_acts_in_time_after_death_of_host_and_guard(bench, flavour, kin
     b = bench(flavour=flavour, kind=kind, safe_state=state, waivers=("device_watchdog",))
     bound, mode = BOUNDS[flavour, kind], SAFE[flavour, kind][state]
 
-    async def story(fc):
+    async def scenario(fc):
         other = asyncio.create_task(beats(b, *QGC)) if station else None
         under_way = await go(b, fc, way, kind == "copter")
         await asyncio.sleep(4.0)
@@ -102,7 +102,7 @@ def test_failsafe_acts_in_time_after_death_of_host_and_guard(bench, flavour, kin
             other.cancel()
         await asyncio.gather(under_way, return_exceptions=True)
 
-    b.run(story)
+    b.run(scenario)
 
 
 @on_bench("bench")
@@ -186,7 +186,7 @@ def test_armed_vehicle_gets_heartbeats_only_after_the_safe_state(bench):
         b.sent.clear()
         return sent.count(dialect.MAVLINK_MSG_ID_HEARTBEAT)
 
-    async def story(fc):
+    async def scenario(fc):
         await asyncio.sleep(1.0)
         assert heartbeats() == 0
         fc.guard_restarted(False)
@@ -196,7 +196,7 @@ def test_armed_vehicle_gets_heartbeats_only_after_the_safe_state(bench):
         await asyncio.sleep(1.0)
         assert heartbeats() >= 4
 
-    b.run(story)
+    b.run(scenario)
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])

@@ -39,9 +39,9 @@ def mission(tmp_path):
 
 
 def refused(deployment):
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         load_mission(deployment)
-    return [(finding.code, finding.span.text) for finding in caught.value.diagnostics]
+    return [(finding.code, finding.span.text) for finding in error.value.diagnostics]
 
 
 @pytest.mark.parametrize("argument", ["FIELD", '"north-field.plan"', '"./north-field.plan"'])

@@ -12,22 +12,22 @@ from address_book import HOLE, NameTable
 
 @pytest.fixture
 def name_table(monkeypatch) -> Iterator[NameTable]:
-    made = NameTable(monkeypatch)
-    yield made
-    made.blocked.set()
+    table = NameTable(monkeypatch)
+    yield table
+    table.blocked.set()
 
 
 @pytest.fixture
 def hole() -> Iterator[int]:
     """The port of the listener at HOLE."""
-    with socket.socket() as made:
-        made.bind((HOLE, 0))
-        made.listen(0)
+    with socket.socket() as sock:
+        sock.bind((HOLE, 0))
+        sock.listen(0)
         callers = [socket.socket() for _ in range(3)]
         for caller in callers:
             caller.setblocking(False)
-            caller.connect_ex(made.getsockname())
-        yield made.getsockname()[1]
+            caller.connect_ex(sock.getsockname())
+        yield sock.getsockname()[1]
         for caller in callers:
             caller.close()
 

@@ -100,10 +100,10 @@ async def test_a_silent_address_does_not_delay_the_next_one(name_table, hole):
     name_table.rows["bravo"] = [HOLE, "127.0.0.3"]
     there, _ = await listening(f"127.0.0.3:{hole}")
     loop, transport = asyncio.get_running_loop(), TcpTransport(MAX_BLOCK)
-    began = loop.time()
+    started = loop.time()
     link = await transport.connect(f"bravo:{hole}", Recorder())
     assert link.peer == f"127.0.0.3:{hole}"
-    assert loop.time() - began >= ATTEMPT_DELAY
+    assert loop.time() - started >= ATTEMPT_DELAY
     link.close()
     there.close()
 
@@ -146,11 +146,11 @@ def test_a_port_taken_between_bind_and_listen_is_reported_and_closed(runner, mon
 
         monkeypatch.setattr(listeners, "bound_socket", bound_and_taken)
 
-        async def story():
+        async def scenario():
             with pytest.raises(AddressError, match="the port is in use"):
                 await listening(f"127.0.0.1:{rival.getsockname()[1]}")
 
-        runner(story)
+        runner(scenario)
     assert [made.fileno() for made in bound] == [-1]
 
 
@@ -175,8 +175,8 @@ async def test_a_listener_follows_its_name_and_retries_a_failed_address(name_tab
         await TcpTransport(MAX_BLOCK).connect(f"127.0.0.2:{port}", Recorder())
     # A name without an address for a while changes nothing.
     name_table.rows["alpha"] = []
-    asked = name_table.asked
-    await until(lambda: name_table.asked > asked + 2)
+    queries = name_table.asked
+    await until(lambda: name_table.asked > queries + 2)
     assert there.address == f"127.0.0.3:{port}"
     link.close()
     there.close()
@@ -199,9 +199,9 @@ async def test_a_listener_uses_only_the_local_addresses_of_its_name(name_table):
 def test_a_port_is_reserved_in_each_address_family(address):
     reserved, text = open_listening_socket(address)
     with reserved:
-        with pytest.raises(AddressError) as caught:
+        with pytest.raises(AddressError) as error:
             require_port_free(text)
-        assert "in use" in caught.value.reason
+        assert "in use" in error.value.reason
     require_port_free(text)
 
 
@@ -240,7 +240,7 @@ class Caller:
 def test_retries_back_off_and_each_failure_is_reported_once():
     errors = [AddressError("b:1", "no answer"), AddressError("b:1", "no way")]
 
-    async def story():
+    async def scenario():
         caller = Caller(errors)
         dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
         await asyncio.sleep(REPORT_AFTER - 0.1)
@@ -255,16 +255,16 @@ def test_retries_back_off_and_each_failure_is_reported_once():
         assert {"no answer" in note for note in caller.notes} == {True, False}
         assert all("bravo unreachable at b:1" in note for note in caller.notes)
 
-    run_jumping(story())
+    run_jumping(scenario())
 
 
 def test_a_banned_host_is_not_dialled_until_the_ban_ends():
-    async def story():
+    async def scenario():
         caller = Caller([AddressError("b:1", "no answer")])
-        caller.barred, began = 8.0, asyncio.get_running_loop().time()
+        caller.barred, started = 8.0, asyncio.get_running_loop().time()
         dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
         await asyncio.sleep(9.0)
         dialler.cancel()
-        assert caller.calls[0] == pytest.approx(began + 8.0)
+        assert caller.calls[0] == pytest.approx(started + 8.0)
 
-    run_jumping(story())
+    run_jumping(scenario())

@@ -106,14 +106,14 @@ async def test_a_late_name_is_tried_beside_a_silent_address(name_table, hole):
 
 async def test_each_address_is_named_with_its_error(hole):
     transport = TcpTransport(MAX_BLOCK, connect_timeout=0.5)
-    with pytest.raises(AddressError) as caught:
+    with pytest.raises(AddressError) as error:
         await transport.connect(f"127.0.0.2:{hole},{HOLE}:{hole}", Recorder())
-    assert f"127.0.0.2:{hole}: " in caught.value.reason
-    assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
+    assert f"127.0.0.2:{hole}: " in error.value.reason
+    assert f"{HOLE}:{hole}: no answer within 0.5 s" in error.value.reason
     # Each address once, in either order.
-    with pytest.raises(AddressError) as caught:
+    with pytest.raises(AddressError) as error:
         await transport.connect(f"{HOLE}:{hole},127.0.0.2:{hole}", Recorder())
-    assert caught.value.reason.count("127.0.0.2") == caught.value.reason.count(HOLE) == 1
+    assert error.value.reason.count("127.0.0.2") == error.value.reason.count(HOLE) == 1
     with pytest.raises(NoListener):
         await transport.connect(f"127.0.0.2:{hole},127.0.0.3:{hole}", Recorder())
     with pytest.raises(AddressError):
@@ -139,9 +139,9 @@ async def test_an_address_of_another_host_does_not_prevent_a_connection():
     assert link.identity.name == "bravo"
     link.close()
     right.close()
-    with pytest.raises(AddressError) as caught:
+    with pytest.raises(AddressError) as error:
         await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder(), "alpha")
-    assert "bravo" in caught.value.reason
+    assert "bravo" in error.value.reason
     wrong.close()
 
 
@@ -178,8 +178,8 @@ async def test_a_host_listens_at_its_own_addresses_only(name_table, monkeypatch)
     await until(lambda: f"127.0.0.4:{port}" in there.address)
     # A name without an address closes nothing.
     name_table.rows["alpha"] = []
-    asked = name_table.asked
-    await until(lambda: name_table.asked > asked + 2)
+    queries = name_table.asked
+    await until(lambda: name_table.asked > queries + 2)
     for each in (first, second, f"127.0.0.4:{port}"):
         link = await TcpTransport(MAX_BLOCK).connect(each, Recorder())
         link.close()
@@ -193,8 +193,8 @@ async def test_a_host_without_a_local_address_cannot_listen():
 
 
 def test_the_port_must_be_free_at_each_local_address():
-    with socket.create_server(("127.0.0.3", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.3", 0)) as occupied:
+        port = occupied.getsockname()[1]
         with pytest.raises(AddressError):
             require_port_free(f"198.51.100.1:{port},127.0.0.2:{port},127.0.0.3:{port}")
         require_port_free(f"198.51.100.1:{port},127.0.0.2:{port}")

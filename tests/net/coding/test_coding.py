@@ -141,8 +141,8 @@ def test_a_reference_with_another_digest_is_reported_missing():
 
 def test_kept_references_are_bounded_and_not_evicted_by_larger_ones():
     near = TransferHistory()
-    kept = [near.keep(f"c{number}", bytes(100_000), is_sent=True) for number in range(20)]
-    assert kept == [True] * (MAX_KEPT // 100_000) + [False] * (20 - MAX_KEPT // 100_000)
+    stored = [near.keep(f"c{number}", bytes(100_000), is_sent=True) for number in range(20)]
+    assert stored == [True] * (MAX_KEPT // 100_000) + [False] * (20 - MAX_KEPT // 100_000)
     assert near._size == sum(len(data) for data, *_ in near._transfers.values()) <= MAX_KEPT
     assert not near.keep("large", bytes(MAX_KEPT + 1), is_sent=True)
     assert near.whole("c0") is not None

@@ -47,10 +47,10 @@ async def until(fact: Callable[[], bool]) -> None:
 
 
 def sender(at: str = "127.0.0.1") -> socket.socket:
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    made.bind((at, 0))
-    made.settimeout(60.0)
-    return made
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind((at, 0))
+    sock.settimeout(60.0)
+    return sock
 
 
 @pytest.mark.parametrize("at", ["127.0.0.1:0", "[::1]:0"])
@@ -76,54 +76,54 @@ async def test_datagrams_use_the_number_of_the_listening_port_and_close_with_it(
 
 async def test_datagrams_that_are_no_orders_are_dropped() -> None:
     log, client = DatagramLog(), sender()
-    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    made.bind(("127.0.0.1", 0))
-    at = made.getsockname()
-    port = DatagramPort(datagram_socket_at(made), log, float)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    sock.bind(("127.0.0.1", 0))
+    at = sock.getsockname()
+    port = DatagramPort(datagram_socket_at(sock), log, float)
     for wrong in (b"", MAGIC, b"GET / HTTP/1.1" + bytes(200), SOUND[:100], MAGIC + bytes(MAX_DATAGRAM)):
         client.sendto(wrong, at)
     client.sendto(SOUND, at)
     await until(lambda: bool(log.came))
     assert log.came == [SOUND]
     port.close()
-    made.close()
+    sock.close()
     client.close()
 
 
 def test_the_kernel_filter_drops_only_the_datagrams_of_the_flooding_address() -> None:
-    made, floods, client = sender(), sender(), sender()
-    made.settimeout(60.0)
-    if not attach(made, [flooder_at(*floods.getsockname())]):
+    sock, floods, client = sender(), sender(), sender()
+    sock.settimeout(60.0)
+    if not attach(sock, [flooder_at(*floods.getsockname())]):
         pytest.skip("this kernel has no socket filters")
     for _ in range(5):
-        floods.sendto(SOUND, made.getsockname())
-    client.sendto(SOUND, made.getsockname())
-    assert made.recvfrom(2000)[1] == client.getsockname()
-    made.setblocking(False)
+        floods.sendto(SOUND, sock.getsockname())
+    client.sendto(SOUND, sock.getsockname())
+    assert sock.recvfrom(2000)[1] == client.getsockname()
+    sock.setblocking(False)
     with pytest.raises(BlockingIOError):
-        made.recv(2000)
-    attach(made, [])
-    floods.sendto(SOUND, made.getsockname())
-    made.settimeout(60.0)
-    assert made.recvfrom(2000)[1] == floods.getsockname()
-    for each in (made, floods, client):
+        sock.recv(2000)
+    attach(sock, [])
+    floods.sendto(SOUND, sock.getsockname())
+    sock.settimeout(60.0)
+    assert sock.recvfrom(2000)[1] == floods.getsockname()
+    for each in (sock, floods, client):
         each.close()
 
 
 async def test_a_refused_flood_does_not_delay_other_senders() -> None:
     log, floods, client = DatagramLog(), sender(), sender()
     log.left[floods.getsockname()] = 3
-    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    made.bind(("127.0.0.1", 0))
-    port = DatagramPort(datagram_socket_at(made), log, float)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    sock.bind(("127.0.0.1", 0))
+    port = DatagramPort(datagram_socket_at(sock), log, float)
     for _ in range(100):
-        floods.sendto(SOUND, made.getsockname())
+        floods.sendto(SOUND, sock.getsockname())
     await until(lambda: len(log.came) == 3)
-    client.sendto(SOUND + b"!", made.getsockname())
+    client.sendto(SOUND + b"!", sock.getsockname())
     await until(lambda: SOUND + b"!" in log.came)
     assert len(log.came) == 4
     port.close()
-    made.close()
+    sock.close()
     floods.close()
     client.close()
 
@@ -134,19 +134,19 @@ async def test_a_flood_from_many_ports_of_one_address_blocks_all_its_ports() -> 
             pytest.skip("this kernel has no socket filters")
     log, client = DatagramLog(), sender("127.0.0.2")
     floods = [sender() for _ in range(FLOODING_PORTS + 2)]
-    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    made.bind(("127.0.0.1", 0))
-    port = DatagramPort(datagram_socket_at(made), log, float)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    sock.bind(("127.0.0.1", 0))
+    port = DatagramPort(datagram_socket_at(sock), log, float)
     for one in floods[: FLOODING_PORTS + 1]:
         log.left[one.getsockname()] = 0
-        one.sendto(SOUND, made.getsockname())
+        one.sendto(SOUND, sock.getsockname())
     await until(lambda: [found.port for found in port.flooders] == [ANY_PORT])
     # This port has sent nothing before.
-    floods[-1].sendto(SOUND, made.getsockname())
-    client.sendto(SOUND + b"!", made.getsockname())
+    floods[-1].sendto(SOUND, sock.getsockname())
+    client.sendto(SOUND + b"!", sock.getsockname())
     await until(lambda: log.came == [SOUND + b"!"])
     port.close()
-    for each in (made, client, *floods):
+    for each in (sock, client, *floods):
         each.close()
 
 

@@ -60,17 +60,17 @@ def test_an_answer_to_a_heartbeat_of_an_earlier_link_is_ignored():
 def test_two_ends_send_alternately_and_both_measure():
     """A link without other messages has one heartbeat a second, as when only one end sent."""
     here, there = linked(), linked(first=False)
-    heard, sent = {here: 0.0, there: 0.0}, {here: 0, there: 0}
+    received_at, sent = {here: 0.0, there: 0.0}, {here: 0, there: 0}
     for tick in range(1, 601):
         now = tick / 10
         # Each end checks once a second, the second end 0.3 s after the first.
         for end, other, phase in ((here, there, 0), (there, here, 3)):
-            if tick % 10 == phase and end.is_due(now, now - heard[end]):
+            if tick % 10 == phase and end.is_due(now, now - received_at[end]):
                 token = end.send(now)
                 other.on_ping()
-                heard[other] = now
+                received_at[other] = now
                 end.on_pong(token, now + 0.05)
-                heard[end] = now + 0.05
+                received_at[end] = now + 0.05
                 sent[end] += 1
     assert sum(sent.values()) <= 66
     assert min(sent.values()) >= 25

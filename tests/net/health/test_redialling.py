@@ -58,7 +58,7 @@ class Path:
 def race(path: Path, *places, pause: float | None = FIRST_PAUSE):
     """Time until a socket was connected, the socket, its address, and the failures."""
 
-    async def story():
+    async def scenario():
         failures: dict = {}
         path.start = asyncio.get_running_loop().time()
         async with asyncio.timeout(60.0):
@@ -66,7 +66,7 @@ def race(path: Path, *places, pause: float | None = FIRST_PAUSE):
         await asyncio.sleep(1.0)
         return asyncio.get_running_loop().time() - path.start - 1.0, made, at, failures
 
-    return run_jumping(story())
+    return run_jumping(scenario())
 
 
 @pytest.mark.parametrize("back", [0.0, 0.3, 5.0, 30.0])
@@ -162,7 +162,7 @@ class Silent:
 
 
 def test_a_silent_link_is_dialled_beside_until_it_recovers():
-    async def story():
+    async def scenario():
         owner = Silent()
         dialler = Dialler(owner, owner, LoopClock(), "bravo", "b:1", lambda text: None)
         await asyncio.sleep(10.0)
@@ -179,7 +179,7 @@ def test_a_silent_link_is_dialled_beside_until_it_recovers():
         assert len(owner.calls) <= count + 1
         dialler.cancel()
 
-    run_jumping(story())
+    run_jumping(scenario())
 
 
 class Opened:
@@ -194,7 +194,7 @@ class Opened:
 
 @pytest.mark.parametrize("recovers", [True, False])
 def test_a_new_connection_is_used_unless_the_old_link_has_recovered(recovers):
-    async def story():
+    async def scenario():
         owner, opened, used = Silent(), Opened(), []
 
         async def connect(address, session, host=""):
@@ -212,4 +212,4 @@ def test_a_new_connection_is_used_unless_the_old_link_has_recovered(recovers):
         dialler.cancel()
         assert (opened.closed, used) == (recovers, [] if recovers else [opened])
 
-    run_jumping(story())
+    run_jumping(scenario())

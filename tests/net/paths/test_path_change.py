@@ -11,11 +11,11 @@ from virtual_paths import PathHost, PathNetwork
 from lfield.net.health.path_choice import BETTER_FOR
 from lfield.simulate.jumping_loop import run_jumping
 
-Story = Callable[[PathNetwork, PathHost, PathHost], Awaitable[None]]
+Scenario = Callable[[PathNetwork, PathHost, PathHost], Awaitable[None]]
 
 
-def play(story: Story) -> None:
-    """Run the story of two hosts, linked over path one with a standby on path two."""
+def play(scenario: Scenario) -> None:
+    """Run the scenario of two hosts, linked over path one with a standby on path two."""
 
     async def main() -> None:
         network = PathNetwork()
@@ -25,7 +25,7 @@ def play(story: Story) -> None:
         await until(lambda: all(host.count("standby connection with") for host in hosts))
         assert [host.path for host in hosts] == ["one", "one"]
         try:
-            await story(network, *hosts)
+            await scenario(network, *hosts)
         finally:
             for host in hosts:
                 host.peers.close()
@@ -50,7 +50,7 @@ def now() -> float:
 
 @pytest.mark.parametrize("senders", [(0,), (1,), (0, 1)])
 def test_either_side_moves_the_link_when_its_data_is_not_acknowledged(senders):
-    async def story(network, *hosts):
+    async def scenario(network, *hosts):
         network.paths["one"].alive = False
         start = now()
         for sender in senders:
@@ -60,7 +60,7 @@ def test_either_side_moves_the_link_when_its_data_is_not_acknowledged(senders):
         assert all(host.count("unlinked") == 0 for host in hosts)
         assert 1 <= sum(host.count("no acknowledgement") for host in hosts) <= len(senders)
 
-    play(story)
+    play(scenario)
 
 
 async def test_a_recovered_path_becomes_the_standby_and_is_used_again(network, alpha, bravo, /):

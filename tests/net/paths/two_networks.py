@@ -10,7 +10,7 @@ import time
 import uuid
 from pathlib import Path
 
-from namespaces import PATIENCE, Process, command
+from namespaces import TIMEOUT, Process, command
 
 from lfield.testing.keyring import Keyring
 
@@ -89,8 +89,8 @@ class TwoNetworks:
     def _named(self, host: str) -> str:
         return f"lf-{self._tag}-{host}"
 
-    def _run(self, host: str, *words: str) -> None:
-        command("ip", "netns", "exec", self._named(host), *words)
+    def _run(self, host: str, *arguments: str) -> None:
+        command("ip", "netns", "exec", self._named(host), *arguments)
 
     def up(self, host: str, network: str) -> None:
         """Switch an interface on."""
@@ -116,10 +116,10 @@ class TwoNetworks:
             f"--map={each}=" + ",".join(f"{address(each, network)}:{PORT}" for network in NETWORKS)
             for each in HOSTS
         ]
-        words = ["up", str(self._folder / "mission.dL"), "--host", host, *maps, "--no-record"]
-        words += ["--keys", str(self._folder / "keys"), "--state", str(self._folder / f"state-{host}")]
+        arguments = ["up", str(self._folder / "mission.dL"), "--host", host, *maps, "--no-record"]
+        arguments += ["--keys", str(self._folder / "keys"), "--state", str(self._folder / f"state-{host}")]
         there = ["ip", "netns", "exec", self._named(host)]
-        made = self.hosts[host] = Host([*there, sys.executable, "-um", "lfield", *words])
+        made = self.hosts[host] = Host([*there, sys.executable, "-um", "lfield", *arguments])
         return made
 
     def sent(self, host: str, network: str) -> int:
@@ -134,7 +134,7 @@ class TwoNetworks:
 
     def wait_for_stamps(self, count: int) -> None:
         """Wait until there are `count` stamps."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while len(self.stamps()) < count:
             assert time.monotonic() < end, self.text()
             time.sleep(0.05)

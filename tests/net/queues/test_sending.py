@@ -105,15 +105,15 @@ def decoded_messages(written_parts) -> list[object]:
     return far.handler.messages
 
 
-def in_loop(story) -> None:
+def in_loop(scenario) -> None:
     async def main():
-        story()
+        scenario()
 
     asyncio.run(main())
 
 
 def test_a_stop_is_sent_between_two_parts_of_a_block():
-    def story():
+    def scenario():
         slow = Slow(8 << 10)
         link = slow.link()
         block = random.Random(1).randbytes(1 << 20)
@@ -132,13 +132,13 @@ def test_a_stop_is_sent_between_two_parts_of_a_block():
             (transfer(len(block)), block),
         ]
 
-    in_loop(story)
+    in_loop(scenario)
 
 
 def test_each_kind_keeps_its_order_and_is_decoded_when_others_overtake_it():
     """Compressed messages, coordinators and long reports on a link that accepts a few bytes at a time."""
 
-    def story():
+    def scenario():
         slow, rng = Slow(700), random.Random(1)
         link = slow.link()
         sent: dict[str, list[object]] = {"control": [], "hops": [], "events": [], "stops": []}
@@ -176,7 +176,7 @@ def test_each_kind_keeps_its_order_and_is_decoded_when_others_overtake_it():
         assert link.traffic.counts[TrafficKind.EVENTS] > 0
         assert link.traffic.counts[TrafficKind.STOP] == len(encode(STOP)) * len(sent["stops"])
 
-    in_loop(story)
+    in_loop(scenario)
 
 
 def test_waiting_kinds_share_the_connection():
@@ -203,7 +203,7 @@ def test_an_idle_kind_gets_no_more_than_its_share_later():
 
 
 def test_answers_to_stops_and_heartbeats_precede_reports_to_observers():
-    def story():
+    def scenario():
         slow = Slow(1 << 10)
         link = slow.link()
         rng = random.Random(1)
@@ -221,11 +221,11 @@ def test_answers_to_stops_and_heartbeats_precede_reports_to_observers():
         assert found.index(answer) <= 4
         assert found.index(Ping(7)) == found.index(answer) + 1
 
-    in_loop(story)
+    in_loop(scenario)
 
 
 def test_a_message_is_not_overtaken_by_one_sent_later_in_the_same_turn():
-    def story():
+    def scenario():
         slow = Slow(1 << 20)
         link = slow.link()
         link.send(Backpressure("first"))
@@ -233,11 +233,11 @@ def test_a_message_is_not_overtaken_by_one_sent_later_in_the_same_turn():
         link._flush()
         assert decoded_messages(slow.written_parts) == [Backpressure("first"), STOP]
 
-    in_loop(story)
+    in_loop(scenario)
 
 
 def test_a_link_whose_peer_does_not_read_is_closed_at_the_queue_limit():
-    def story():
+    def scenario():
         slow = Slow(1 << 10)
         link, rng = slow.link(max_pending=1 << 16), random.Random(1)
         for _ in range(200):
@@ -249,11 +249,11 @@ def test_a_link_whose_peer_does_not_read_is_closed_at_the_queue_limit():
         assert isinstance(link._error, WireError)
         assert sum(map(len, slow.written_parts)) < 4 << 10
 
-    in_loop(story)
+    in_loop(scenario)
 
 
 def test_queued_bytes_are_sent_before_a_link_is_closed():
-    def story():
+    def scenario():
         slow = Slow(1 << 10)
         link = slow.link()
         block = bytes(100_000)
@@ -261,7 +261,7 @@ def test_queued_bytes_are_sent_before_a_link_is_closed():
         link.close()
         assert decoded_messages(slow.written_parts) == [(transfer(len(block)), block)]
 
-    in_loop(story)
+    in_loop(scenario)
 
 
 def test_parts_are_short_on_a_slow_connection_and_long_on_a_fast_one():

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from certificates import Team
 from fabric import Router, ZenohBench, free_endpoint, running_router
-from loop_bench import PATIENCE
+from loop_bench import TIMEOUT
 from lying_router import ChangingRelay, Injector
 
 from lfield.errors import AddressError, HandshakeError, MissingZenoh, NoListener, WireError, ZenohUnreachable
@@ -90,7 +90,7 @@ def connected_again(bench: ZenohBench, pair: Pair):
     """A link to the same listener, as soon as possible: the sessions reconnect themselves."""
 
     async def attempts():
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(TIMEOUT):
             while True:
                 try:
                     return await bench.connect(pair.listener.address, Recorder())
@@ -114,10 +114,10 @@ def test_a_missing_router_is_reported_and_used_when_it_starts(team):
 
     listener = bench.wait(bench.listen("zenoh:alpha:0", on_link))
     assert [note.code for note in bench.notes] == ["zenoh-unreachable"]
-    with pytest.raises(ZenohUnreachable) as caught:
+    with pytest.raises(ZenohUnreachable) as error:
         bench.wait(bench.connect(listener.address, Recorder()))
-    assert caught.value.code == "zenoh-unreachable"
-    assert endpoint in caught.value.reason
+    assert error.value.code == "zenoh-unreachable"
+    assert endpoint in error.value.reason
     router = Router(endpoint=endpoint)
     pair = Pair.__new__(Pair)
     pair.listener, pair.accepted = listener, called
@@ -214,18 +214,18 @@ def _ping(pair: Pair) -> bool:
 def test_a_participant_without_keys_of_the_team_gets_no_link(router, team):
     """A fabric is open to others: TLS rejects a peer that uses the name of a host."""
     bench = bench_at(router.endpoint, tls=TlsIdentity(team.host("alpha")))
-    stranger = bench_at(router.endpoint, tls=TlsIdentity(Team().host("alpha")))
-    stranger.loop.close()
-    stranger.loop = bench.loop
+    foreign_host = bench_at(router.endpoint, tls=TlsIdentity(Team().host("alpha")))
+    foreign_host.loop.close()
+    foreign_host.loop = bench.loop
     called = Recorder()
-    listener = stranger.wait(stranger.listen("zenoh:alpha:0", lambda link: called))
+    listener = foreign_host.wait(foreign_host.listen("zenoh:alpha:0", lambda link: called))
     near = Recorder()
     with pytest.raises(HandshakeError):
         bench.wait(bench.connect(listener.address, near))
     bench.until(lambda: bool(called.ends))
     assert near.messages == called.messages == []
-    stranger.near.close()
-    stranger.far.close()
+    foreign_host.near.close()
+    foreign_host.far.close()
     bench.close()
 
 
@@ -249,9 +249,9 @@ def test_a_missing_package_is_reported_with_its_code(monkeypatch):
     monkeypatch.setitem(sys.modules, "zenoh", None)
     monkeypatch.delitem(sys.modules, "lfield.net.zenoh.session", raising=False)
     bench = bench_at("tcp/127.0.0.1:1")
-    with pytest.raises(MissingZenoh) as caught:
+    with pytest.raises(MissingZenoh) as error:
         bench.wait(bench.near.connect("zenoh:alpha", Recorder()))
-    assert (caught.value.code, "lfield[zenoh]" in str(caught.value)) == ("zenoh-missing", True)
+    assert (error.value.code, "lfield[zenoh]" in str(error.value)) == ("zenoh-missing", True)
     bench.loop.close()
 
 
@@ -274,10 +274,10 @@ def test_a_process_uses_tcp_and_zenoh_together(router, team):
         assert str(link.identity) == "host alpha"
         assert link.peer == (fabric if address != tcp else tcp)
         link.abort()
-    with pytest.raises(AddressError) as caught:
+    with pytest.raises(AddressError) as error:
         loop.run_until_complete(caller.connect("127.0.0.1:1,zenoh:bravo", Recorder()))
-    assert "127.0.0.1:1" in caught.value.reason
-    assert "zenoh:bravo" in caught.value.reason
+    assert "127.0.0.1:1" in error.value.reason
+    assert "zenoh:bravo" in error.value.reason
     listener.close()
     transport.close()
     caller.close()

@@ -54,10 +54,18 @@ class ScriptedHost:
     ) -> EventBatch:
         """Events of that time, in a batch that is sent immediately."""
         after = self.number
-        told = [self.event(up, what) for what in whats]
+        events = [self.event(up, what) for what in whats]
         self.batches += 1
         return EventBatch(
-            self.incarnation, self.batches, self.wall + up, up, after, self.number, told, lost or {}, snapshot
+            self.incarnation,
+            self.batches,
+            self.wall + up,
+            up,
+            after,
+            self.number,
+            events,
+            lost or {},
+            snapshot,
         )
 
 

@@ -43,8 +43,8 @@ def test_control_characters_are_escaped_in_an_event_line() -> None:
 
 
 def test_event_json_has_the_event_its_time_and_its_cause() -> None:
-    told = json.loads(event_json(dated(MigrationArrived("boss", 1, 4, "beta", 900))))
-    assert told == {
+    decoded = json.loads(event_json(dated(MigrationArrived("boss", 1, 4, "beta", 900))))
+    assert decoded == {
         "host": "alpha",
         "incarnation": 7,
         "time": 1.7e9 + 0.5,
@@ -65,15 +65,15 @@ def test_event_json_has_the_event_its_time_and_its_cause() -> None:
 
 
 def test_nan_and_infinity_are_null_in_json() -> None:
-    told = json.loads(
+    decoded = json.loads(
         event_json(dated(DeviceTelemetry("one.fc", {"a": math.nan, "b": [math.inf, 1.0]}, 0.0)))
     )
-    assert told["values"] == {"a": None, "b": [None, 1.0]}
+    assert decoded["values"] == {"a": None, "b": [None, 1.0]}
 
 
 def test_lost_events_are_a_json_object() -> None:
-    told = json.loads(event_json(FeedNotice("alpha", "events were lost", {"state": 2})))
-    assert told == {"host": "alpha", "kind": "lost", "lost": {"state": 2}, "reason": "events were lost"}
+    decoded = json.loads(event_json(FeedNotice("alpha", "events were lost", {"state": 2})))
+    assert decoded == {"host": "alpha", "kind": "lost", "lost": {"state": 2}, "reason": "events were lost"}
     uncounted = json.loads(event_json(FeedNotice("alpha", "telemetry was lost", {"telemetry": None})))
     assert uncounted["lost"] == {"telemetry": None}
 
@@ -121,15 +121,15 @@ def test_event_table_has_hops_and_telemetry(what: object, rows: list[str]) -> No
     table = EventCsv()
     assert table.header() == ",".join(COLUMNS)
     head = "1700000000.500000,0.010000,alpha,4,"
-    told = dated(what)
-    assert list(table.rows(told)) == [f"{head}{told.event.kind},{row}" for row in rows]
+    event = dated(what)
+    assert list(table.rows(event)) == [f"{head}{event.event.kind},{row}" for row in rows]
 
 
 def test_log_has_whole_lines_with_their_source() -> None:
     view = LogLineView()
     assert log_of(view, Printed("boss", "half", "out")) == []
-    (whole,) = log_of(view, Printed("boss", " a line\n", "out"))
-    assert whole.endswith(" alpha | boss: half a line")
+    (full_line,) = log_of(view, Printed("boss", " a line\n", "out"))
+    assert full_line.endswith(" alpha | boss: half a line")
     two = log_of(view, LineLogged("one\n  two\x07"))
     assert [line.partition(" | ")[2] for line in two] == ["one", "  two\\u{7}"]
 

@@ -144,14 +144,14 @@ class Scene:
         self._pending()
 
 
-def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) -> EventRecorder:
-    """Run a story while a follower runs."""
+def played(scenario: Callable[[Scene], Awaitable[None]], since: int | None = None) -> EventRecorder:
+    """Run a scenario while a follower runs."""
 
     async def main() -> EventRecorder:
         scene = Scene(since)
         following = asyncio.create_task(scene.follower.run())
         await asyncio.sleep(0)
-        await story(scene)
+        await scenario(scene)
         following.cancel()
         await asyncio.gather(following, return_exceptions=True)
         return scene.recorder
@@ -160,23 +160,23 @@ def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) 
 
 
 def test_batches_are_forwarded_and_acknowledged() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(1.0)
         host.happens(LinkUp("a"), LinkUp("b"))
         await asyncio.sleep(1.0)
-        first, *others = [seen.batch for seen in host.all(EventAck)]
+        first, *others = [message.batch for message in host.all(EventAck)]
         assert first == 1
         assert others == list(range(1, len(others) + 1))
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert recorder.peers == ["a", "b"]
     assert recorder.log[-1] == "alpha linked"
     assert len(recorder.took) == 1
 
 
 def test_each_event_arrives_once_across_a_broken_link() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(1.0)
         host.happens(LinkUp("a"))
@@ -189,7 +189,7 @@ def test_each_event_arrives_once_across_a_broken_link() -> None:
         await asyncio.sleep(4.0)
         assert host.all(Subscribe)[-1] == Subscribe(7, 1, 0.0)
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert recorder.peers == ["a", "b", "c"]
     assert "the connection was lost" in recorder.log[1]
 
@@ -208,11 +208,13 @@ def test_repeated_events_are_dropped_and_gaps_are_counted() -> None:
 def test_missing_events_are_counted_once_by_their_numbers() -> None:
     cursor, host = StreamCursor(), ScriptedHost()
     cursor.accept(host.batch(1.0, LinkUp("a")))
-    told = host.batch(2.0, *(LinkUp(text) for text in "bcdef"))
-    kept = replace(told, events=[event for event in told.events if event.number in (3, 6)], lost={"state": 3})
-    assert cursor.accept(kept).lost == {"state": 3}
+    batch = host.batch(2.0, *(LinkUp(text) for text in "bcdef"))
+    stored = replace(
+        batch, events=[event for event in batch.events if event.number in (3, 6)], lost={"state": 3}
+    )
+    assert cursor.accept(stored).lost == {"state": 3}
     # The event arrives again, because it was in transit at the new subscription.
-    again = cursor.accept(kept)
+    again = cursor.accept(stored)
     assert (again.lost, again.events) == ({}, [])
     # Events missing at the end of a batch are counted only when another event follows.
     ends = replace(host.batch(3.0), after=9, latest=9, lost={"state": 3, "measured": 1})
@@ -228,7 +230,7 @@ def test_telemetry_has_no_number_and_is_never_dropped_as_repeated() -> None:
 
 
 def test_a_restarted_host_is_followed_from_its_first_event() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(1.0)
         host.happens(LinkUp("a"), LinkUp("b"))
@@ -244,7 +246,7 @@ def test_a_restarted_host_is_followed_from_its_first_event() -> None:
         host.happens(LinkUp("c"))
         await asyncio.sleep(1.0)
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert recorder.peers == ["a", "b", "c"]
     assert {batch.incarnation for batch in recorder.batches} == {7, 8}
     assert all(batch.lost == {} for batch in recorder.batches)
@@ -258,20 +260,20 @@ def test_the_first_subscription_names_its_start(since: int | None, asked: Subscr
 
 
 def test_a_host_that_starts_later_is_followed_from_its_first_event() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         await asyncio.sleep(3.0)
         host = PlayedHost(scene.network)
         await asyncio.sleep(MAX_RETRY + 1.0)
-        (asked,) = host.all(Subscribe)
-        assert asked.incarnation not in (0, 7)
-        assert asked.after == 0
+        (request,) = host.all(Subscribe)
+        assert request.incarnation not in (0, 7)
+        assert request.after == 0
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert "no program listens" in recorder.log[0]
 
 
 def test_a_host_found_later_at_another_address_is_followed_from_its_first_event() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         scene.address = NOWHERE
         await asyncio.sleep(3.0)
         host = PlayedHost(scene.network)
@@ -279,13 +281,13 @@ def test_a_host_found_later_at_another_address_is_followed_from_its_first_event(
         scene.address = ADDRESS
         await asyncio.sleep(MAX_RETRY + 1.0)
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert recorder.peers == ["a"]
     assert all(line.endswith("; it may not run") for line in recorder.log[:-1])
 
 
 def test_a_host_that_hangs_is_disconnected_and_connected_again() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(SILENCE_TIMEOUT * 5)
         assert len(host.all(Subscribe)) == 1
@@ -293,24 +295,24 @@ def test_a_host_that_hangs_is_disconnected_and_connected_again() -> None:
         await asyncio.sleep(SILENCE_TIMEOUT + 2 * CHECK_INTERVAL)
         assert len(host.all(Subscribe)) >= 2
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert any(line.startswith("nothing received for") for line in recorder.log)
 
 
 def test_a_refusal_is_reported_and_retried_slowly() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         host.refuses = "anna may do nothing"
         await asyncio.sleep(60.0)
         assert 10 < len(host.all(Subscribe)) < 20
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert "alpha refused: anna may do nothing" in recorder.log
     assert "alpha linked" not in recorder.log
 
 
 def test_a_host_is_subscribed_to_again_every_minute_against_clock_drift() -> None:
-    async def story(scene: Scene) -> None:
+    async def scenario(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         scene.network.latency = 0.1
         await asyncio.sleep(1.5)
@@ -319,7 +321,7 @@ def test_a_host_is_subscribed_to_again_every_minute_against_clock_drift() -> Non
             await asyncio.sleep(REQUEST_INTERVAL)
         assert host.all(Subscribe)[1:] == [Subscribe(7, number, 0.0) for number in (1, 2, 3, 4)]
 
-    recorder = played(story)
+    recorder = played(scenario)
     assert recorder.peers == ["a", "b", "c", "d"]
     assert recorder.took == [pytest.approx(0.2, abs=0.01)] * 5
     assert all(batch.lost == {} for batch in recorder.batches)

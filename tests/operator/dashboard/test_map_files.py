@@ -43,9 +43,9 @@ def test_track_points_are_sent_once_and_completely_to_a_new_browser():
     tracks = TeamTracks()
     for north in (0.0, 0.05, 1.0, 2.0):
         tracks.add([vehicle(north)])
-    whole = tracks.since(0)
-    assert (whole.is_whole, whole.newest) == (True, 3)
-    assert [point.position for point in whole.tracks[0].points] == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
+    all_tracks = tracks.since(0)
+    assert (all_tracks.is_whole, all_tracks.newest) == (True, 3)
+    assert [point.position for point in all_tracks.tracks[0].points] == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
     assert tracks.since(3).tracks == []
     tracks.add(
         [vehicle(3.0), replace(vehicle(9.0), fresh=False), replace(vehicle(9.0), is_position_stated=True)]
@@ -104,6 +104,6 @@ def test_a_huge_file_is_drawn_in_part():
 )
 def test_a_file_with_nothing_to_draw_is_refused(tmp_path, text):
     (tmp_path / "f.geojson").write_text(text)
-    with pytest.raises(LfieldError) as caught:
+    with pytest.raises(LfieldError) as error:
         file_drawings([tmp_path / "f.geojson"])
-    assert isinstance(caught.value, MissionFileError)
+    assert isinstance(error.value, MissionFileError)

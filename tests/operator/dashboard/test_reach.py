@@ -77,14 +77,14 @@ def test_a_mission_started_later_and_its_next_run_are_found() -> None:
     reach = HostLocator(unstarted("alpha"), lambda: now)
 
     async def main() -> list[str]:
-        said = [await reach("alpha")]
+        addresses = [await reach("alpha")]
         for run in ("m-1", "m-2"):
             now[:] = [party(run, "a", "alpha")]
             await asyncio.sleep(REFRESH_INTERVAL)
-            said.append(await reach("alpha"))
+            addresses.append(await reach("alpha"))
         now[:] = [unstarted("alpha")]
         await asyncio.sleep(REFRESH_INTERVAL)
-        return [*said, await reach("alpha")]
+        return [*addresses, await reach("alpha")]
 
     m1, m2 = "unix:/run/m-1/alpha.sock", "unix:/run/m-2/alpha.sock"
     assert run_jumping(main()) == ["alpha:8181", m1, m2, m2]

@@ -48,29 +48,29 @@ class Computer:
 
 def journey(computers: list[Computer], seed: int, hops: int) -> None:
     """A coordinator migrates; some hops are never confirmed, and other events happen in between."""
-    dice = random.Random(seed)
+    rng = random.Random(seed)
     at, now = 0, 0.0
     for sequence in range(1, hops + 1):
-        to = dice.choice([n for n in range(len(computers)) if n != at])
-        now += dice.expovariate(2.0)
+        to = rng.choice([n for n in range(len(computers)) if n != at])
+        now += rng.expovariate(2.0)
         left = computers[at].happens(now, MigrationStarted("boss", 1, sequence, str(to), "", "", 9))
-        now += dice.uniform(0.001, 0.2)
+        now += rng.uniform(0.001, 0.2)
         computers[to].hears(str(at), left, now)
-        came = computers[to].happens(now, MigrationArrived("boss", 1, sequence, str(at), 9))
-        computers[dice.randrange(len(computers))].happens(now, LinkUp("x"))
-        if dice.random() < 0.7:
-            computers[at].hears(str(to), came, now + 0.001)
+        arrived = computers[to].happens(now, MigrationArrived("boss", 1, sequence, str(at), 9))
+        computers[rng.randrange(len(computers))].happens(now, LinkUp("x"))
+        if rng.random() < 0.7:
+            computers[at].hears(str(to), arrived, now + 0.001)
             computers[at].happens(now + 0.001, MigrationConfirmed("boss", 1, sequence, str(to), 0.1))
         at = to
 
 
 def merged(computers: list[Computer], seed: int) -> list[DatedEvent]:
     """All streams, read in any order."""
-    dice, timeline = random.Random(seed), EventTimeline()
+    rng, timeline = random.Random(seed), EventTimeline()
     places = [0] * len(computers)
     while left := [n for n, computer in enumerate(computers) if places[n] < len(computer.stream)]:
-        n = dice.choice(left)
-        for event in computers[n].stream[places[n] : places[n] + dice.randint(1, 9)]:
+        n = rng.choice(left)
+        for event in computers[n].stream[places[n] : places[n] + rng.randint(1, 9)]:
             timeline.add(str(n), 5, event)
             places[n] += 1
     return timeline.drain_events()
@@ -97,11 +97,11 @@ def computers_apart(most: float) -> st.SearchStrategy[list[Computer]]:
 @given(computers_apart(MAX_AHEAD), st.integers(0, 10**6))
 def test_clocks_minutes_apart_do_not_change_the_order(computers: list[Computer], seed: int) -> None:
     journey(computers, seed, 30)
-    told = merged(computers, seed)
-    require_causes_first(told, computers)
-    assert told == sorted(told, key=lambda dated: (dated.event.stamp, dated.host, dated.event.number))
-    times = {Cause(d.host, d.incarnation, d.event.number): d.event.stamp for d in told}
-    assert all(times[dated.cause] < dated.event.stamp for dated in told if dated.cause is not None)
+    events = merged(computers, seed)
+    require_causes_first(events, computers)
+    assert events == sorted(events, key=lambda dated: (dated.event.stamp, dated.host, dated.event.number))
+    times = {Cause(d.host, d.incarnation, d.event.number): d.event.stamp for d in events}
+    assert all(times[dated.cause] < dated.event.stamp for dated in events if dated.cause is not None)
 
 
 @settings(max_examples=100, deadline=None)
@@ -119,16 +119,16 @@ def test_events_of_one_timestamp_are_ordered_by_host_and_number() -> None:
     timeline = EventTimeline()
     for host, number, count in (("b", 1, 7), ("b", 2, 7), ("a", 1, 7), ("c", 1, 6)):
         timeline.add(host, 1, event(number, YEAR_2024, count=count))
-    told = [(dated.host, dated.event.number) for dated in timeline.drain_events()]
-    assert told == [("c", 1), ("a", 1), ("b", 1), ("b", 2)]
+    events = [(dated.host, dated.event.number) for dated in timeline.drain_events()]
+    assert events == [("c", 1), ("a", 1), ("b", 1), ("b", 2)]
 
 
 def test_time_is_the_timestamp_and_within_is_the_lag_of_the_host() -> None:
     timeline = EventTimeline()
     timeline.add("a", 1, event(1, YEAR_2024))
     timeline.add("b", 1, event(1, YEAR_2024, ahead=90_250))
-    told = [(dated.host, dated.time, dated.within) for dated in timeline.drain_events()]
-    assert told == [("a", YEAR_2024, None), ("b", YEAR_2024 + 90.25, 90.25)]
+    events = [(dated.host, dated.time, dated.within) for dated in timeline.drain_events()]
+    assert events == [("a", YEAR_2024, None), ("b", YEAR_2024 + 90.25, 90.25)]
 
 
 def test_an_event_waits_for_earlier_events_of_other_hosts() -> None:

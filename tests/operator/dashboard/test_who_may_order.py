@@ -46,7 +46,7 @@ def test_rights_of_the_certificate_decide_on_the_buttons(
     keys = Keyring(tmp_path).issue("person", "anna", *may)
     found = barred({"alpha": "10.0.0.5:8181"}, keys)
     assert set(found) == not_may
-    assert all("lfield keys person anna --may" in why for why in found.values())
+    assert all("lfield keys person anna --may" in reason for reason in found.values())
 
 
 def test_access_rules_remove_buttons_but_never_stop(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_access_rules_remove_buttons_but_never_stop(tmp_path: Path) -> None:
         access = Access("mission.access.yaml", (PersonRule(names, (Right.OBSERVE,), 2),))
         found = barred({"alpha": "10.0.0.5:8181"}, keys, access)
         assert set(found) == {"lift", "resume"}
-        assert all(f"mission.access.yaml:2 limits {names} to: observe" in why for why in found.values())
+        assert all(f"mission.access.yaml:2 limits {names} to: observe" in reason for reason in found.values())
     access = Access("mission.access.yaml", (PersonRule("bob", (Right.OBSERVE,), 2),))
     assert barred({"alpha": "10.0.0.5:8181"}, keys, access) == {}
 
@@ -63,21 +63,21 @@ def test_access_rules_remove_buttons_but_never_stop(tmp_path: Path) -> None:
 def test_the_user_of_a_host_has_all_buttons_and_other_users_get_the_reason(
     tmp_path: Path, monkeypatch
 ) -> None:
-    door = tmp_path / "alpha.sock"
-    door.write_text("")
-    assert barred({"alpha": f"unix:{door}"}) == {}
+    address = tmp_path / "alpha.sock"
+    address.write_text("")
+    assert barred({"alpha": f"unix:{address}"}) == {}
     monkeypatch.setattr(os, "geteuid", lambda: 4711)
     monkeypatch.setattr(os, "getgroups", lambda: [])
-    found = barred({"alpha": f"unix:{door}"})
+    found = barred({"alpha": f"unix:{address}"})
     assert set(found) == {"stop", "lift", "pause", "resume"}
     assert "the user who runs the host has it" in found["stop"]
 
 
 def test_a_button_that_one_host_accepts_stays(tmp_path: Path) -> None:
-    door = tmp_path / "alpha.sock"
-    door.write_text("")
+    address = tmp_path / "alpha.sock"
+    address.write_text("")
     keys = Keyring(tmp_path / "keys").issue("person", "anna", Right.OBSERVE)
-    assert barred({"alpha": f"unix:{door}", "beta": "10.0.0.5:8181"}, keys) == {}
+    assert barred({"alpha": f"unix:{address}", "beta": "10.0.0.5:8181"}, keys) == {}
 
 
 def test_with_unknown_rights_the_hosts_decide() -> None:

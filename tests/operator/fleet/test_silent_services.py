@@ -61,12 +61,12 @@ def test_a_long_order_is_waited_for() -> None:
 
 
 def test_a_robot_that_leaves_the_network_during_an_order_is_reported() -> None:
-    async def story() -> float:
+    async def scenario() -> float:
         with pytest.raises(AddressError):
             await stopped(RobotLink(busy=120.0, gone=20.0))
         return asyncio.get_running_loop().time() - 1000.0
 
-    assert run_jumping(story()) < 20.0 + 3 * SILENCE
+    assert run_jumping(scenario()) < 20.0 + 3 * SILENCE
 
 
 class SilentLinks(ServiceLinks):
@@ -83,9 +83,9 @@ class SilentLinks(ServiceLinks):
 
 
 def test_an_unreachable_robot_is_reported_before_the_time_of_the_order_ends() -> None:
-    async def story() -> float:
+    async def scenario() -> float:
         with pytest.raises(AddressError, match="no answer within 8 s"):
             await SilentLinks().ask("bravo", STOP, CommandResult, LONG, LONG)
         return asyncio.get_running_loop().time() - 1000.0
 
-    assert CONTACT <= run_jumping(story()) < CONTACT + 2 * SILENCE
+    assert CONTACT <= run_jumping(scenario()) < CONTACT + 2 * SILENCE

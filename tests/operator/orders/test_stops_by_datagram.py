@@ -23,20 +23,20 @@ from lfield.wire.observer_messages import EmergencyStopResult
 
 def given(network, request=None, desk=None, open_links=None):
     """The answer of each host to an order, and the time of each answer (s)."""
-    took = {}
+    elapsed = {}
 
-    async def story():
-        began = network.now
+    async def scenario():
+        started = network.now
         return await ask_all(
             network,
             network.addresses,
             request or emergency_stop("fire"),
             sender=desk or network.sender(),
             open_link=open_links,
-            on_answer=lambda host, answer: took.setdefault(host, network.now - began),
+            on_answer=lambda host, answer: elapsed.setdefault(host, network.now - started),
         )
 
-    return run_jumping(story()), took
+    return run_jumping(scenario()), elapsed
 
 
 def taught(network):
@@ -56,17 +56,17 @@ def all_confirmed(network, answers):
 
 def test_a_stop_to_known_hosts_takes_one_round_trip():
     network = Network(5)
-    answers, took = given(network, desk=taught(network))
+    answers, elapsed = given(network, desk=taught(network))
     assert all_confirmed(network, answers)
-    assert max(took.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
+    assert max(elapsed.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
     assert not network.dialled
 
 
 def test_a_stop_to_unknown_hosts_takes_two_round_trips():
     network = Network(1)
-    answers, took = given(network)
+    answers, elapsed = given(network)
     assert all_confirmed(network, answers)
-    assert took["h1"] == pytest.approx(2 * network.trip + EXECUTES, abs=0.01)
+    assert elapsed["h1"] == pytest.approx(2 * network.trip + EXECUTES, abs=0.01)
     assert [kind for kind, _ in network.hosts["h1"].executed] == ["stop"]
 
 
@@ -74,17 +74,17 @@ def test_the_order_after_a_first_one_takes_one_round_trip():
     network, desk = Network(3), None
     desk = network.sender()
     given(network, desk=desk)
-    _, took = given(network, pause(), desk=desk)
-    assert max(took.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
+    _, elapsed = given(network, pause(), desk=desk)
+    assert max(elapsed.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
 
 
 def test_a_stop_to_a_restarted_host_takes_two_round_trips():
     network = Network(1)
     desk = taught(network)
     network.hosts["h1"].boot()
-    answers, took = given(network, desk=desk)
+    answers, elapsed = given(network, desk=desk)
     assert all_confirmed(network, answers)
-    assert took["h1"] == pytest.approx(2 * network.trip + EXECUTES, abs=0.01)
+    assert elapsed["h1"] == pytest.approx(2 * network.trip + EXECUTES, abs=0.01)
 
 
 def test_a_stop_after_a_lift_of_another_operator_is_challenged_and_signed_again():
@@ -121,8 +121,8 @@ def test_at_20_percent_loss_99_percent_of_stops_take_under_half_a_second():
     slow, late = [], 0
     for seed in range(40):
         network = Network(5, trip=0.02, loss=0.2, seed=seed)
-        _, took = given(network, desk=taught(network))
-        slow += took.values()
+        _, elapsed = given(network, desk=taught(network))
+        slow += elapsed.values()
         late += len(network.dialled)
     assert sorted(slow)[int(0.99 * len(slow))] <= 0.5
     assert late <= 40
@@ -131,10 +131,10 @@ def test_at_20_percent_loss_99_percent_of_stops_take_under_half_a_second():
 def test_a_connection_confirms_where_datagrams_are_blocked():
     network = Network(2)
     network.udp = lambda host: False
-    answers, took = given(network)
+    answers, elapsed = given(network)
     assert all_confirmed(network, answers)
     assert len(network.dialled) == 2
-    assert max(took.values()) <= 1.0
+    assert max(elapsed.values()) <= 1.0
 
 
 def test_no_connection_starts_while_datagrams_are_answered():
@@ -155,35 +155,35 @@ def test_datagrams_confirm_where_connections_fail():
 def test_unreached_hosts_are_ordered_through_reached_hosts():
     network = Network(4)
     network.udp = network.tcp = lambda host: host != "h3"
-    answers, took = given(network)
+    answers, elapsed = given(network)
     assert all_confirmed(network, answers)
-    assert took["h3"] <= 2.0
+    assert elapsed["h3"] <= 2.0
 
 
 def test_a_refused_connection_reports_a_missing_host():
     network = Network(2)
     network.udp, network.refused = (lambda host: host != "h2"), (lambda host: host == "h2")
     network.hosts["h1"].linked = list
-    answers, took = given(network)
+    answers, elapsed = given(network)
     assert isinstance(answers["h2"], NoListener)
-    assert took["h2"] <= 2.0
+    assert elapsed["h2"] <= 2.0
     assert answers["h1"].devices == {"h1.fc": ""}
 
 
 def test_an_order_without_any_answer_ends_within_its_timeout():
     network = Network(1)
     network.udp = network.tcp = lambda host: False
-    answers, took = given(network)
+    answers, elapsed = given(network)
     assert isinstance(answers["h1"], AddressError)
-    assert took["h1"] <= emergency_stop("").timeout + path_race.DATAGRAM_TIME + path_race.GRACE + 2.0
+    assert elapsed["h1"] <= emergency_stop("").timeout + path_race.DATAGRAM_TIME + path_race.GRACE + 2.0
 
 
 def test_an_operator_without_the_right_is_refused_at_once():
     network = Network(1)
-    answers, took = given(network, desk=network.sender(may=frozenset({Right.OBSERVE})))
+    answers, elapsed = given(network, desk=network.sender(may=frozenset({Right.OBSERVE})))
     assert isinstance(answers["h1"], HandshakeError)
     assert "right to stop" in str(answers["h1"])
-    assert took["h1"] <= 0.3
+    assert elapsed["h1"] <= 0.3
     assert not network.hosts["h1"].executed
 
 
@@ -223,9 +223,9 @@ def standing_of(network, after):
 def test_an_open_connection_answers_first_and_no_other_is_made():
     network = Network(3)
     network.udp = lambda host: False
-    answers, took = given(network, open_links=standing_of(network, 0.4))
+    answers, elapsed = given(network, open_links=standing_of(network, 0.4))
     assert all_confirmed(network, answers)
-    assert list(took.values()) == [pytest.approx(0.4)] * 3
+    assert list(elapsed.values()) == [pytest.approx(0.4)] * 3
     assert not network.dialled
 
 
@@ -233,9 +233,9 @@ def test_a_new_connection_replaces_a_lost_or_silent_one():
     for after in (-0.3, 60.0):
         network = Network(1)
         network.udp = lambda host: False
-        answers, took = given(network, open_links=standing_of(network, after))
+        answers, elapsed = given(network, open_links=standing_of(network, after))
         assert all_confirmed(network, answers)
-        assert took["h1"] <= 2.0
+        assert elapsed["h1"] <= 2.0
         assert len(network.dialled) == 1
 
 
@@ -252,8 +252,8 @@ def test_known_hosts_are_cached_and_a_damaged_cache_costs_a_round_trip(cache):
     network, own = Network(2), keys("person", "anna", frozenset(Right))
     given(network, desk=network.sender(KnownHosts.read(own.authority)))
     assert KnownHosts.read(own.authority).host("h1").epochs == network.hosts["h1"].orders.epochs
-    _, took = given(network, desk=network.sender(KnownHosts.read(own.authority)))
-    assert max(took.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
+    _, elapsed = given(network, desk=network.sender(KnownHosts.read(own.authority)))
+    assert max(elapsed.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
     for damaged in (b"", b"\x00", cache.read_bytes()[:-1], cache.read_bytes() + b"\x00", b"\xff" * 2000):
         cache.write_bytes(damaged)
         answers, _ = given(network, desk=network.sender(KnownHosts.read(own.authority)))
@@ -296,7 +296,7 @@ def test_a_host_with_a_new_certificate_is_asked_for_it():
 def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
     keystore.write_keys(tmp_path / "keys" / keystore.OWN, keys("person", "anna", frozenset(Right)))
 
-    async def story():
+    async def scenario():
         host = Network(1).hosts["h1"]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as port:
             port.bind(("127.0.0.1", 0))
@@ -317,7 +317,7 @@ def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
             asyncio.get_running_loop().remove_reader(port)
         return host, received
 
-    host, received = asyncio.run(story())
+    host, received = asyncio.run(scenario())
     assert [kind for kind, _ in host.executed] == ["stop", "pause"]
     # The first order asks for the host's state and shows the certificate, unless a repetition arrives in
     # between.

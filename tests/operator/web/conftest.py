@@ -19,8 +19,8 @@ SCRIPT = Path(__file__).with_name("scripted_team.py")
 class Page:
     """The page of a scripted team, served by a process of its own; `do` changes the team."""
 
-    def __init__(self, *words: object) -> None:
-        command = [sys.executable, str(SCRIPT), *map(str, words)]
+    def __init__(self, *arguments: object) -> None:
+        command = [sys.executable, str(SCRIPT), *map(str, arguments)]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.link = self.line()
 
@@ -63,8 +63,8 @@ def browser() -> Iterator[Browser]:
 def page_of() -> Iterator[Callable[..., Page]]:
     pages: list[Page] = []
 
-    def begin(*words: object) -> Page:
-        pages.append(Page(*words))
+    def begin(*arguments: object) -> Page:
+        pages.append(Page(*arguments))
         return pages[-1]
 
     yield begin

@@ -27,7 +27,7 @@ from lfield.authority.web_ca.web_keys import read_web_keys
 T = TypeVar("T")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 # : Seconds for anything that depends on the load of the machine.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 
 needs_browser = pytest.mark.skipif(
     not (CHROMIUM and DRIVER), reason="no browser: apt-get install chromium chromium-driver"
@@ -144,7 +144,7 @@ class Browser:
     def wait(self, told: Callable[[], object]) -> None:
         """Until it is true; elements that the page redraws are looked up again."""
         ignored = (StaleElementReferenceException, IndexError)
-        WebDriverWait(self.driver, PATIENCE, 0.05, ignored).until(lambda _: told())
+        WebDriverWait(self.driver, TIMEOUT, 0.05, ignored).until(lambda _: told())
 
     def says(self, id: str, words: str) -> None:
         """Wait until the element contains these words."""

@@ -323,15 +323,15 @@ class Script:
         devices = [
             device for vehicle in vehicles.values() for device in vehicle.devices if device.host in self.held
         ]
-        seen = [device for device in devices if device.fresh]
+        fresh_devices = [device for device in devices if device.fresh]
         pending = next((order.pending for order in orders if order.order == "stop"), ())
         return StopState(
             self.reason,
             "anna",
             self.now() - self.stopped,
             tuple(name for name, host in hosts.items() if host.stopped and host.linked),
-            tuple(device.name for device in seen if device.confirmed),
-            {device.name: "it has not answered" for device in seen if not device.confirmed},
+            tuple(device.name for device in fresh_devices if device.confirmed),
+            {device.name: "it has not answered" for device in fresh_devices if not device.confirmed},
             {name: host.problem for name, host in hosts.items() if not host.linked and not host.stopped},
             pending,
             {device.host: (device.name,) for device in devices if not device.fresh},

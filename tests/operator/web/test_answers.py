@@ -23,8 +23,8 @@ def test_offers_have_units_and_refusals_their_reasons():
     refused = Rejection("rover", ("payload 0.2 < 2.0",))
     found = PrimitiveAnswer(primitive(), (copter, both), 2, (refused,), ("only the best",))
     answer = QueryAnswer("Lift", (found,), {"charlie": "no program listens"}, units={"payload": "kg"})
-    told = json.loads(query_json(answer))
-    (lift,) = told["answers"]
+    decoded = json.loads(query_json(answer))
+    (lift,) = decoded["answers"]
     first, second = lift["offers"]
     assert first["facts"] == ["payload 0.5 kg", "tools winch"]
     assert (first["how"], first["score"]) == ("direct", 0.8)
@@ -32,7 +32,7 @@ def test_offers_have_units_and_refusals_their_reasons():
     assert (first["hosts"], second["hosts"]) == (["bravo"], ["alpha"])
     assert second["parts"] == ["arm1 at alpha: Grip"]
     assert lift["refusals"] == "rover: payload 0.2 < 2.0"
-    assert told["unreachable"] == {"charlie": "no program listens"}
+    assert decoded["unreachable"] == {"charlie": "no program listens"}
 
 
 def primitive() -> Primitive:
@@ -41,10 +41,10 @@ def primitive() -> Primitive:
 
 def test_an_order_result_reports_full_success():
     assert json.loads(order_json(OrderOutcome("stop", ("lead.fc",))))["is_complete"] is True
-    told = json.loads(
+    decoded = json.loads(
         order_json(OrderOutcome("stop", ("lead.fc",), {"wing.fc": "no answer"}, {"charlie": "gone"}))
     )
-    assert (told["is_complete"], told["confirmed"], told["unreached"]) == (
+    assert (decoded["is_complete"], decoded["confirmed"], decoded["unreached"]) == (
         False,
         ["lead.fc"],
         {"charlie": "gone"},

@@ -13,7 +13,7 @@ import pytest
 from lfield.operator.web.accept_limiter import MAX_CALLERS, AcceptLimiter
 
 # : Seconds for anything that depends on the load of the machine.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 # : The time limit of an unauthenticated connection; no other timer of a test is as long.
 HELD = 1234.5
 
@@ -39,17 +39,17 @@ class Caller:
         """Return true if the other end is still connected."""
         try:
             self.writer.write(b"?")
-            return await asyncio.wait_for(self._reader.read(1), PATIENCE) == b"?"
+            return await asyncio.wait_for(self._reader.read(1), TIMEOUT) == b"?"
         except OSError:
             return False
 
     async def gone(self) -> None:
         """Wait until the other end has closed the connection."""
         with suppress(ConnectionError):
-            assert await asyncio.wait_for(self._reader.read(1), PATIENCE) == b""
+            assert await asyncio.wait_for(self._reader.read(1), TIMEOUT) == b""
 
 
-def tried(story: Callable[..., Awaitable[None]]) -> None:
+def tried(scenario: Callable[..., Awaitable[None]]) -> None:
     """Run a test with connections to a socket.
 
     `call` opens an accepted connection, `late` expires the limit of unauthenticated ones.
@@ -59,10 +59,10 @@ def tried(story: Callable[..., Awaitable[None]]) -> None:
         loop, timers = asyncio.get_running_loop(), []
         usual = loop.call_later
 
-        def call_later(seconds, what, *words, **more):
+        def call_later(seconds, what, *arguments, **more):
             if seconds != HELD:
-                return usual(seconds, what, *words, **more)
-            timers.append((what, words))
+                return usual(seconds, what, *arguments, **more)
+            timers.append((what, arguments))
 
         def late() -> None:
             for what, words in timers:
@@ -82,7 +82,7 @@ def tried(story: Callable[..., Awaitable[None]]) -> None:
 
             loop.call_later = call_later
             try:
-                await story(callers, call, late)
+                await scenario(callers, call, late)
             finally:
                 taking.close()
                 for caller in made:

@@ -133,8 +133,13 @@ def test_damaged_pmtiles_are_refused(tmp_path):
     path = pmtiles(tmp_path / "a.pmtiles", {(0, 0, 0): PNG, (1, 0, 0): b"<script>"})
     with closing(open_background(str(path))) as background:
         assert background.tile(1, 0, 0) is None
-    whole = path.read_bytes()
-    for changed in (whole[:7], whole[:60], b"PMTiles\2" + whole[8:], whole[:97] + b"\4" + whole[98:]):
+    content = path.read_bytes()
+    for changed in (
+        content[:7],
+        content[:60],
+        b"PMTiles\2" + content[8:],
+        content[:97] + b"\4" + content[98:],
+    ):
         path.write_bytes(changed)
         with pytest.raises(InputFileError, match="not a PMTiles file"):
             open_background(str(path))
@@ -142,7 +147,7 @@ def test_damaged_pmtiles_are_refused(tmp_path):
         open_background(str(pmtiles(tmp_path / "v.pmtiles", {(0, 0, 0): PNG}, TileType.MVT)))
     # A damaged directory, and lengths beyond the file: no tile.
     for at, value in ((16, b"\0" * 8), (130, b"\xff" * 20), (16, b"\xff" * 8)):
-        path.write_bytes(whole[:at] + value + whole[at + len(value) :])
+        path.write_bytes(content[:at] + value + content[at + len(value) :])
         with closing(open_background(str(path))) as background:
             assert background.tile(0, 0, 0) is None
 

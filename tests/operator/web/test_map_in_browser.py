@@ -78,7 +78,7 @@ def test_map_geometry_and_label_placement(browser, page_of):
     assert (again["v0"]["slot"], again["v1"]["slot"] < 8) == (1, True)
     assert 0 < len(near) < 12, "numbers of items are omitted rather than distant"
     # Of labels with fixed places, those under an obstacle or an earlier label are left out.
-    kept = run(
+    process = run(
         browser,
         """({labels: l}) => {
           const at = (left) => ({ left, right: left + 20, top: 0, bottom: 10 });
@@ -86,7 +86,7 @@ def test_map_geometry_and_label_placement(browser, page_of):
           return l.separate(labels, [at(75)]).map((one) => one.left);
         }""",
     )
-    assert kept == [0, 40]
+    assert process == [0, 40]
 
 
 @pytest.mark.few(0)

@@ -118,8 +118,8 @@ def test_an_agent_has_one_colour_in_all_plots(browser, page_of):
     browser.says("key-hops", "pilot")
 
     def inks(key):
-        told = browser.thing(key).parts("i", lambda ink: ink.value_of_css_property("background-color"))
-        return [colour.replace("rgba", "rgb").replace(", 1)", ")") for colour in told]
+        values = browser.thing(key).parts("i", lambda ink: ink.value_of_css_property("background-color"))
+        return [colour.replace("rgba", "rgb").replace(", 1)", ")") for colour in values]
 
     assert browser.text("key-vehicles").split() == ["Vehicles:", "leadwing"]
     colours = [*inks("key-vehicles"), *inks("key-hops")]
@@ -218,11 +218,11 @@ def test_with_an_origin_positions_are_in_degrees(browser, page_of):
     assert "m north" in browser.thing("place-lead").get_attribute("title")
     labels = ".sky .grid text"
     browser.wait(lambda: browser.driver.find_elements(By.CSS_SELECTOR, labels))
-    told = browser.evaluate(
+    values = browser.evaluate(
         lambda: [label.text for label in browser.driver.find_elements(By.CSS_SELECTOR, labels)]
     )
-    assert any(text.startswith("47.4") and text.endswith("° N") for text in told), told
-    assert any(text.startswith("8.5") and text.endswith("° E") for text in told), told
+    assert any(text.startswith("47.4") and text.endswith("° N") for text in values), values
+    assert any(text.startswith("8.5") and text.endswith("° E") for text in values), values
 
 
 @pytest.mark.few(0)
@@ -338,5 +338,5 @@ def test_elements_that_a_page_redraws_continuously_are_read(browser):
     """Test the helpers of these tests."""
     browser.driver.get(REDRAWN)
     browser.wait(lambda: browser.thing("state").get_attribute("class"))
-    told = {(browser.text("state"), browser.thing("state").get_attribute("class")) for _ in range(10)}
-    assert told == {("here", "new")}
+    values = {(browser.text("state"), browser.thing("state").get_attribute("class")) for _ in range(10)}
+    assert values == {("here", "new")}

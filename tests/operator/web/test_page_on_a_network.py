@@ -62,15 +62,15 @@ class Client:
 
     def asks(self, path: str, method: str = "GET", body: str = "", **headers: str) -> tuple[int, str, str]:
         """Status, text, and the received cookie."""
-        made = http.client.HTTPSConnection(self.host, self.port, context=self._context, timeout=60.0)
+        connection = http.client.HTTPSConnection(self.host, self.port, context=self._context, timeout=60.0)
         try:
-            made.connect()
-            assert made.sock.version() == "TLSv1.3"
-            made.request(method, path, body or None, headers)
-            answer = made.getresponse()
+            connection.connect()
+            assert connection.sock.version() == "TLSv1.3"
+            connection.request(method, path, body or None, headers)
+            answer = connection.getresponse()
             return answer.status, answer.read().decode(), answer.headers.get("set-cookie", "")
         finally:
-            made.close()
+            connection.close()
 
 
 @pytest.fixture
@@ -119,8 +119,8 @@ def test_a_denied_order_is_refused_without_the_page_too(page, client: Client) ->
     cookie = f'a[]=b; x={{"a":1}}; theme=dark mode; alone; {own}; ümlaut="'
     page.line()
     origin = f"https://{ADDRESS}:{client.port}"
-    said = client.asks("/order", "POST", '{"action":"stop"}', Cookie=cookie, Origin=origin)
-    assert said[:2] == (403, "your keys let you observe, not stop")
+    response = client.asks("/order", "POST", '{"action":"stop"}', Cookie=cookie, Origin=origin)
+    assert response[:2] == (403, "your keys let you observe, not stop")
     assert client.asks("/order", "POST", '{"action":"pause"}', Cookie=cookie, Origin=origin)[0] == 200
     assert page.line() == "pressed pause"
 
@@ -154,8 +154,8 @@ def test_requests_without_tls_or_with_another_root_get_no_answer(page, client: C
         ssl.CERT_NONE,
         ssl.TLSVersion.TLSv1_2,
     )
-    with socket.create_connection((client.host, client.port), 60.0) as made, pytest.raises(ssl.SSLError):
-        old.wrap_socket(made)
+    with socket.create_connection((client.host, client.port), 60.0) as sock, pytest.raises(ssl.SSLError):
+        old.wrap_socket(sock)
     # The link is still valid.
     assert client.asks(client.path)[0] == 303
 
@@ -228,9 +228,9 @@ async def test_the_page_is_served_at_the_current_addresses_of_its_name(
     """The rule holds for both address families, and before an address of the name exists."""
     leads, real = ["192.0.2.1", "127.0.0.2", "10.99.99.99"], socket.getaddrinfo
 
-    def found(host, port, *words, flags=0, **more):
+    def found(host, port, *arguments, flags=0, **more):
         hosts = leads if host == NAME and not flags & socket.AI_NUMERICHOST else [host]
-        return [row for host in hosts for row in real(host, port, *words, flags=flags, **more)]
+        return [row for host in hosts for row in real(host, port, *arguments, flags=flags, **more)]
 
     monkeypatch.setattr(socket, "getaddrinfo", found)
     monkeypatch.setattr(listener, "CHECK_EVERY", 0.01)
@@ -268,7 +268,7 @@ def site_at(name: str, keys: WebKeys) -> None:
     asyncio.run(network_site(name, 0, keys, print))
 
 
-def unknown(*words: object, **more: object) -> list[object]:
+def unknown(*arguments: object, **more: object) -> list[object]:
     raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
 

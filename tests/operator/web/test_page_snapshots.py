@@ -32,9 +32,9 @@ def page_snapshots(script: Script, time: Time) -> PageSnapshots:
 def test_snapshots_are_made_at_most_twenty_times_a_second_for_any_number_of_requests():
     time = Time()
     script = Script(2, now=time)
-    snapshots = page_snapshots(script, time)
+    views = page_snapshots(script, time)
     for _ in range(1000):
-        snapshots.snapshot(0)
+        views.snapshot(0)
         time.now += 0.001
     assert script.revision <= 1 + 1.0 / MIN_INTERVAL
 
@@ -42,11 +42,11 @@ def test_snapshots_are_made_at_most_twenty_times_a_second_for_any_number_of_requ
 def test_a_resumed_page_needs_one_snapshot():
     time = Time()
     script = Script(2, now=time)
-    snapshots = page_snapshots(script, time)
-    before = json.loads(snapshots.snapshot(0))
+    views = page_snapshots(script, time)
+    before = json.loads(views.snapshot(0))
     time.now += 3600.0
     script.say("alpha", "much has happened")
-    after = json.loads(snapshots.snapshot(before["log"][-1]["serial"] if before["log"] else 0))
+    after = json.loads(views.snapshot(before["log"][-1]["serial"] if before["log"] else 0))
     assert "much has happened" in [line["text"] for line in after["log"]]
     assert after["team"]["vehicles"][0]["position"] != before["team"]["vehicles"][0]["position"]
 

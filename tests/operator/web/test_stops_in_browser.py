@@ -74,9 +74,11 @@ def test_a_dead_host_is_shown_with_its_last_state(browser, page):
         "return [...document.querySelectorAll('.mind.old path, .marker.old .dart')]"
         ".map((each) => getComputedStyle(each).fill)"
     )
-    seen: list[list[str]] = []
-    browser.wait(lambda: len(seen.append(browser.driver.execute_script(greys)) or seen[-1]) == 2)
-    assert len(set(seen[-1])) == 1
+    requests_sent: list[list[str]] = []
+    browser.wait(
+        lambda: len(requests_sent.append(browser.driver.execute_script(greys)) or requests_sent[-1]) == 2
+    )
+    assert len(set(requests_sent[-1])) == 1
     browser.thing("stop").click()
     browser.says("unreached-bravo", "NOT REACHED: no program listens there")
 

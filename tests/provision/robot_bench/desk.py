@@ -53,8 +53,8 @@ class Desk:
 
     def make_keys(self) -> None:
         """The authority of the team, and the keys of its operator."""
-        words = [LFIELD, "keys", "init", "--person", "anna"]
-        subprocess.run(words, env=self.environment, check=True, capture_output=True, timeout=60)
+        arguments = [LFIELD, "keys", "init", "--person", "anna"]
+        subprocess.run(arguments, env=self.environment, check=True, capture_output=True, timeout=60)
 
     def write_inventory(self, addresses: dict[str, str], extra: str = "") -> None:
         """An inventory of robots, each with one address; `extra` is added to each host."""
@@ -80,9 +80,9 @@ class Desk:
         archive.parent.mkdir(parents=True, exist_ok=True)
         pack_python(archive)
 
-    def provision(self, *words: object) -> list[object]:
+    def provision(self, *arguments: object) -> list[object]:
         """The command line of `lfield provision` with the inventory of this desk."""
-        return [LFIELD, "provision", "--inventory", self.inventory, *words]
+        return [LFIELD, "provision", "--inventory", self.inventory, *arguments]
 
 
 def make_wheels(folder: Path, names: Iterable[str] = NAMES) -> None:

@@ -82,11 +82,11 @@ def test_recordings_in_files_are_debugged(recorded, capsys):
 
 def test_missing_hosts_are_named_and_a_cut_file_is_debugged(recorded, tmp_path, capsys):
     folders = sorted(path for path in recorded.iterdir() if path.is_dir())
-    kept = tmp_path / folders[0].name
-    shutil.copytree(folders[0], kept)
-    file = next(kept.glob("core-*.lfrec"))
+    recording = tmp_path / folders[0].name
+    shutil.copytree(folders[0], recording)
+    file = next(recording.glob("core-*.lfrec"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
-    assert main(["debug", str(kept), "-c", "end", "-c", "back step", "-c", "where"]) == exit_status.DONE
+    assert main(["debug", str(recording), "-c", "end", "-c", "back step", "-c", "where"]) == exit_status.DONE
     error = capsys.readouterr().err
     assert "no recording of" in error
     assert file.name in error

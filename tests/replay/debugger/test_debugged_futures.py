@@ -71,9 +71,9 @@ def test_a_future_shows_its_call_and_its_result(lifting):
     assert printed(debugger, "bad == null") == ["bad == null = false"]
     assert printed(debugger, "lifts.length() == 2") == ["lifts.length() == 2 = true"]
     assert debugger.step_over()
-    shown = "".join(printed(debugger, "lifts"))
-    assert "left.lift() returned" in shown
-    assert "right.lift() returned" in shown
+    output = "".join(printed(debugger, "lifts"))
+    assert "left.lift() returned" in output
+    assert "right.lift() returned" in output
 
 
 @pytest.mark.few(0)

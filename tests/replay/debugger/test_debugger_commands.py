@@ -108,17 +108,17 @@ def test_an_interrupt_ends_a_search_but_not_the_debugger(debugger, monkeypatch):
     monkeypatch.setattr(host_timeline, "REPORT_EVERY", 0.0)
     monkeypatch.setattr(search_watch, "SHOWN_AFTER", 0.0)
     debugger.enter()
-    place, shown = debugger.place, []
+    place, displayed = debugger.place, []
     target = debugger.condition_target("1 == 2")
-    with interruptible(debugger.team, shown.append):
+    with interruptible(debugger.team, displayed.append):
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(SearchCancelled):
             debugger.search(target)
     assert debugger.place == place
-    with interruptible(debugger.team, shown.append):
+    with interruptible(debugger.team, displayed.append):
         assert not debugger.search(debugger.condition_target("1 == 2"))
-    assert any("searching" in text for text in shown)
-    assert shown[-1] == ""
+    assert any("searching" in text for text in displayed)
+    assert displayed[-1] == ""
     assert debugger.search(debugger.portal_target())
 
 

@@ -40,11 +40,11 @@ def test_a_turn_is_encoded_after_its_messages_are_sent(tmp_path, monkeypatch) ->
 
 def test_a_turn_within_the_effects_of_another_is_recorded_after_it(tmp_path, monkeypatch) -> None:
     """As when an effect requests a link, and the link asks the core for its planned links."""
-    execute, run, asked = Host._execute, HostCore.run, []
+    execute, run, requests = Host._execute, HostCore.run, []
 
     def executed(host, effect):
         execute(host, effect)
-        asked.append(host.apply(LinksPlanned()))
+        requests.append(host.apply(LinksPlanned()))
 
     def run_with_wall_time(core):
         core.context.clock.time()
@@ -53,10 +53,10 @@ def test_a_turn_within_the_effects_of_another_is_recorded_after_it(tmp_path, mon
     monkeypatch.setattr(Host, "_execute", executed)
     monkeypatch.setattr(HostCore, "run", run_with_wall_time)
     team = run_recorded(walk_mission(tmp_path), 2.0)
-    assert len(asked) > 4
+    assert len(requests) > 4
     turns = [turn for recording in team.recordings() for _, turn in recording.turns_from(0)]
     planned = [turn for turn in turns if isinstance(turn, TurnRecord) and turn.entry == LinksPlanned()]
-    assert len(planned) >= len(asked)
+    assert len(planned) >= len(requests)
     assert all(turn.wall is not None for turn in turns if not isinstance(turn, IdleTurn) and turn.run)
     assert not compare(team, at_checkpoints=False).differences
 

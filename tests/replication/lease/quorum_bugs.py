@@ -83,9 +83,9 @@ def sends_fences_once(patch: Patch) -> None:
     def once(self: Quorum, host: str, message: Heartbeat, now: float) -> list[Effect]:
         sent = self.__dict__.setdefault("sent", {}).setdefault((host, message.incarnation), set())
         heartbeat(self, host, message, now)
-        news = [fence for fence in self.fences.all if fence not in sent]
-        sent.update(news)
-        return [SendQuorumMessage(host, HeartbeatAck(message.incarnation, message.number, news))]
+        unsent = [fence for fence in self.fences.all if fence not in sent]
+        sent.update(unsent)
+        return [SendQuorumMessage(host, HeartbeatAck(message.incarnation, message.number, unsent))]
 
     patch.setattr(Quorum, "_on_heartbeat", once)
 

@@ -308,8 +308,8 @@ class HostLife:
         transfer = Transfer(agent, copy.generation, copy.sequence + 1)
         self._judge.counts["hops"] += 1
         self._asked[agent] = self.clock
-        gone = Copy(transfer.generation, transfer.sequence, "PREPARED", to)
-        self._keep(agent, gone, then=lambda: self.world.send(self.name, to, transfer))
+        sent_copy = Copy(transfer.generation, transfer.sequence, "PREPARED", to)
+        self._keep(agent, sent_copy, then=lambda: self.world.send(self.name, to, transfer))
 
     def _ask(self, agent: str, copy: Copy) -> None:
         self._asked[agent] = self.clock
@@ -361,24 +361,27 @@ class HostLife:
         knew = self.ends.known(message.agent, self.copies.get(message.agent))
         effects = self.core.on_message(sender, message, self.clock)
         sent_messages = [effect.message for effect in effects if isinstance(effect, SendQuorumMessage)]
-        given = [m for m in sent_messages if isinstance(m, Promise) and m.ended is None]
-        if any(promise.fence == message.generation for promise in given):
+        promises = [m for m in sent_messages if isinstance(m, Promise) and m.ended is None]
+        if any(promise.fence == message.generation for promise in promises):
             self._judge.promises(message.agent, message.generation, self.name, knew)
         self.carry_out(effects)
 
     def _decide(self, sender: str, asked: Transfer | Inquire) -> None:
         """Decide on a transfer: an old number gets its old verdict, a fenced start is refused."""
         agent, generation, sequence = asked
-        seen, taken = self.verdicts.get((agent, generation), (-1, False))
-        if sequence > seen:
-            seen, taken = sequence, isinstance(asked, Transfer) and self._accepts(agent, generation)
-            self.verdicts[agent, generation] = seen, taken
-            page = {("verdict", agent, generation): (seen, taken)}
-            if taken:
+        sequence_seen, accepted = self.verdicts.get((agent, generation), (-1, False))
+        if sequence > sequence_seen:
+            sequence_seen, accepted = (
+                sequence,
+                isinstance(asked, Transfer) and self._accepts(agent, generation),
+            )
+            self.verdicts[agent, generation] = sequence_seen, accepted
+            page = {("verdict", agent, generation): (sequence_seen, accepted)}
+            if accepted:
                 self._keep(agent, Copy(generation, sequence, "RUN"), page)
             else:
                 self.write(agent, page)
-        answer = TransferVerdict(agent, generation, sequence, taken or sequence < seen)
+        answer = TransferVerdict(agent, generation, sequence, accepted or sequence < sequence_seen)
         self.after(agent, lambda: self.world.send(self.name, sender, answer))
 
     def _accepts(self, agent: str, generation: int) -> bool:

@@ -65,7 +65,7 @@ class One:
 
     def lease(self) -> None:
         """b acknowledges a heartbeat of now."""
-        beats = [beat for _, beat in messages_of(self.pass_time(0.6), Heartbeat)]
+        beats = [heartbeat for _, heartbeat in messages_of(self.pass_time(0.6), Heartbeat)]
         self.on_message("b", HeartbeatAck(77, beats[-1].number, []))
 
 

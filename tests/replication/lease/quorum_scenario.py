@@ -45,26 +45,26 @@ def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: f
 
     Each scenario has some kinds of faults only: the effects of one kind could hide those of another.
     """
-    dice = random.Random(seed)
-    names = tuple("abcdefg"[: dice.randint(*hosts)])
-    members = names if dice.random() < 0.7 else tuple(dice.sample(names, dice.randint(1, len(names))))
-    rates = tuple(dice.choice([0.99, 1.01, dice.uniform(0.99, 1.01)]) for _ in names)
-    agents = {f"Tour:{number}": dice.choice(names) for number in range(dice.choice([1, 1, 2]))}
-    kinds = dice.sample(LINKS, dice.randint(1, 4)) + dice.sample(HOSTS, dice.choice([0, 1, 2]))
-    drawn_faults = sorted(_fault(dice, kinds, names, until) for _ in range(dice.randint(0, faults)))
-    interval = dice.choice([0.5, 2.0, 3.0, 5.0])
+    rng = random.Random(seed)
+    names = tuple("abcdefg"[: rng.randint(*hosts)])
+    members = names if rng.random() < 0.7 else tuple(rng.sample(names, rng.randint(1, len(names))))
+    rates = tuple(rng.choice([0.99, 1.01, rng.uniform(0.99, 1.01)]) for _ in names)
+    agents = {f"Tour:{number}": rng.choice(names) for number in range(rng.choice([1, 1, 2]))}
+    kinds = rng.sample(LINKS, rng.randint(1, 4)) + rng.sample(HOSTS, rng.choice([0, 1, 2]))
+    drawn_faults = sorted(_fault(rng, kinds, names, until) for _ in range(rng.randint(0, faults)))
+    interval = rng.choice([0.5, 2.0, 3.0, 5.0])
     return Scenario(
-        seed, names, rates, members, agents, interval, tuple(drawn_faults), until, dice.random() < 0.5
+        seed, names, rates, members, agents, interval, tuple(drawn_faults), until, rng.random() < 0.5
     )
 
 
 def ending(seed: int) -> Scenario:
     """A scenario of three hosts whose coordinators terminate; two hosts at a time have no link for seven
     seconds."""
-    dice = random.Random(f"ending {seed}")
+    rng = random.Random(f"ending {seed}")
     scenario = drawn(seed, hosts=(3, 3), faults=0, until=30.0)
-    cuts = tuple(Fault(at, "link", tuple(dice.sample(scenario.hosts, 2)), 7.0) for at in (3.0, 11.0, 19.0))
-    interval = dice.choice([0.5, 2.0])
+    cuts = tuple(Fault(at, "link", tuple(rng.sample(scenario.hosts, 2)), 7.0) for at in (3.0, 11.0, 19.0))
+    interval = rng.choice([0.5, 2.0])
     return replace(scenario, members=scenario.hosts, interval=interval, faults=cuts, ambush=False, ends=0.1)
 
 

@@ -22,7 +22,7 @@ from lfield.wire.coordinator_messages import Locate
 #: The delay of a message in seconds, normal and slow.
 SWIFT, SLOW = (0.001, 0.02), (0.05, 3.0)
 #: Seconds, in addition to three heartbeat intervals, in which every coordinator acts after all faults.
-PATIENCE = 12.0
+TIMEOUT = 12.0
 #: The duration of a commit in seconds, normal and on a slow disk.
 COMMIT, SLOW_COMMIT = (0.001, 0.02), (0.2, 4.0)
 
@@ -212,7 +212,7 @@ def judged(scenario: Scenario, core: type[Quorum] = Quorum) -> World:
     world = World(scenario, core)
     world.run(scenario.until)
     world.heal()
-    world.run(scenario.until + PATIENCE + 3.0 * scenario.interval)
+    world.run(scenario.until + TIMEOUT + 3.0 * scenario.interval)
     for agent in scenario.agents:
         has_acted = world.judge.acted.get(agent, 0.0) >= scenario.until
         if not has_acted and not world.judge.has_terminated(agent):

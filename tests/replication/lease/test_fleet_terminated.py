@@ -266,17 +266,17 @@ def test_a_new_run_of_the_mission_starts_ended_coordinators_again(tmp_path: Path
 @pytest.mark.parametrize("seed", range(3, 27))
 def test_a_final_end_stays_final_under_random_cuts(tmp_path: Path, seed: int) -> None:
     """Random cuts around the end of boss, in teams of three to five; every start ends once."""
-    dice = random.Random(seed)
-    team = TEAM + "".join(f"//@{name}\n" for name in "de"[: dice.randrange(3)])
+    rng = random.Random(seed)
+    team = TEAM + "".join(f"//@{name}\n" for name in "de"[: rng.randrange(3)])
     fleet, breaches = judged(mission(tmp_path, team=team), seed)
     names = sorted(fleet.runs)
-    fleet.run(dice.uniform(0.3, 1.6))
+    fleet.run(rng.uniform(0.3, 1.6))
     for _ in range(6):
-        one, other = dice.sample(names, 2)
+        one, other = rng.sample(names, 2)
         fleet.cut(one, other)
-        if dice.random() < 0.5:
-            fleet.heal(*dice.sample(names, 2))
-        fleet.run(dice.uniform(0.1, 4.0))
+        if rng.random() < 0.5:
+            fleet.heal(*rng.sample(names, 2))
+        fleet.run(rng.uniform(0.1, 4.0))
     fleet.heal_all()
     fleet.run(40.0)
     assert not breaches

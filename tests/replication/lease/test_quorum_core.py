@@ -45,8 +45,10 @@ def test_a_member_that_may_have_lost_its_promises_gets_no_lease_from_itself() ->
     one = One(saved=alive(), new=True)
     one.lease()
     assert not one.core.may_act("Tour", 1, one.now)
-    (*_, beat) = [beat for host, beat in messages_of(one.pass_time(0.6), Heartbeat) if host == "c"]
-    one.on_message("c", HeartbeatAck(77, beat.number, []))
+    (*_, heartbeat) = [
+        heartbeat for host, heartbeat in messages_of(one.pass_time(0.6), Heartbeat) if host == "c"
+    ]
+    one.on_message("c", HeartbeatAck(77, heartbeat.number, []))
     assert one.core.knows_promises
     assert one.core.may_act("Tour", 1, one.now)
 
@@ -61,10 +63,10 @@ def test_an_acknowledgement_of_another_life_has_no_effect() -> None:
 
 def test_fences_are_sent_with_each_acknowledgement_until_they_are_known() -> None:
     one = One(fence=65537)
-    beat = Heartbeat(5, 1, 0, [])
+    heartbeat = Heartbeat(5, 1, 0, [])
     for _ in range(3):
-        assert one.on_message("b", beat) == one.on_message("b", beat)
-        ((_, ack),) = messages_of(one.on_message("b", beat), HeartbeatAck)
+        assert one.on_message("b", heartbeat) == one.on_message("b", heartbeat)
+        ((_, ack),) = messages_of(one.on_message("b", heartbeat), HeartbeatAck)
         assert ack.fences == [FencedRecord("Tour", 65537)], "without fences of unknown agents"
     ((_, ack),) = messages_of(one.on_message("b", Heartbeat(5, 2, one.core.fences.digest, [])), HeartbeatAck)
     assert ack.fences == []
@@ -92,12 +94,12 @@ def test_a_coordinator_acting_under_a_lease_is_not_fenced_by_an_older_query() ->
 
 def test_held_coordinators_are_sent_only_under_a_lease() -> None:
     one = One(saved=alive())
-    assert {tuple(beat.held) for _, beat in messages_of(one.pass_time(1.0), Heartbeat)} == {()}
+    assert {tuple(heartbeat.held) for _, heartbeat in messages_of(one.pass_time(1.0), Heartbeat)} == {()}
     one.lease()
-    held = [beat.held for _, beat in messages_of(one.pass_time(1.0), Heartbeat)]
+    held = [heartbeat.held for _, heartbeat in messages_of(one.pass_time(1.0), Heartbeat)]
     assert held[-1] == [HeldRecord("Tour", 1, 3)]
     one.on_message("b", HeartbeatAck(77, 1, [FencedRecord("Tour", 2)]))
-    assert {tuple(beat.held) for _, beat in messages_of(one.pass_time(1.0), Heartbeat)} == {()}
+    assert {tuple(heartbeat.held) for _, heartbeat in messages_of(one.pass_time(1.0), Heartbeat)} == {()}
 
 
 def test_a_host_that_is_no_member_requests_a_lease_at_a_limited_rate() -> None:
@@ -116,7 +118,7 @@ def test_a_host_that_is_no_member_repeats_its_first_request_until_it_has_a_lease
     assert messages_of(one.pass_time(2.0), Heartbeat) == []
     one.core.request_lease(one.now)
     assert [host for host, _ in messages_of(one.pass_time(1.1), Heartbeat)] == ["a", "b"] * 3
-    beats = [beat for _, beat in messages_of(one.pass_time(0.6), Heartbeat)]
+    beats = [heartbeat for _, heartbeat in messages_of(one.pass_time(0.6), Heartbeat)]
     for member in "ab":
         one.on_message(member, HeartbeatAck(77, beats[-1].number, []))
     assert messages_of(one.pass_time(1.0), Heartbeat) == []
@@ -169,4 +171,7 @@ def test_unknown_agents_are_not_stored() -> None:
         one.on_message("b", Promise(name, 9, 9, None))
         one.on_message("b", Locate([name], leases=True))
     parts = [vars(one.core), vars(one.core._failover), vars(one.core.fences)]
-    assert max(len(kept) for part in parts for kept in part.values() if isinstance(kept, dict)) <= 1
+    assert (
+        max(len(collection) for part in parts for collection in part.values() if isinstance(collection, dict))
+        <= 1
+    )

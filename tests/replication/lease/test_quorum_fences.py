@@ -31,6 +31,6 @@ def test_equal_digests_mean_equal_tokens() -> None:
 
 
 def test_the_records_of_the_journal_are_not_modified() -> None:
-    kept = {"A": 1}
-    FencingTokens(kept).advance("A", 2)
-    assert kept == {"A": 1}
+    stored = {"A": 1}
+    FencingTokens(stored).advance("A", 2)
+    assert stored == {"A": 1}

@@ -205,8 +205,8 @@ def test_a_wait_that_ended_during_a_stop_is_long_enough() -> None:
 
 def test_two_shadows_do_not_compete_for_the_recovery() -> None:
     one, generation = proposing()
-    asked = one.on_message("c", Locate(["Tour"], leases=True))
-    assert [message.holder for _, message in messages_of(asked, LeaseRecord)] == ["a"]
+    answers = one.on_message("c", Locate(["Tour"], leases=True))
+    assert [message.holder for _, message in messages_of(answers, LeaseRecord)] == ["a"]
     other = One("b", saved=shadow(interval=LEASE))
     other.pass_time(LEASE)
     other.on_message("a", Propose("Tour", generation))

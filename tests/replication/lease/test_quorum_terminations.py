@@ -39,8 +39,8 @@ def test_a_known_end_is_in_every_answer(outcome: str) -> None:
 
 def test_an_end_is_not_repeated_to_a_host_that_knows_it() -> None:
     one, other = One("c", ended()), One("a", ended())
-    beat = messages_of(other.pass_time(0.6), Heartbeat)[-1][1]
-    ((_, ack),) = messages_of(one.on_message("a", beat), HeartbeatAck)
+    heartbeat = messages_of(other.pass_time(0.6), Heartbeat)[-1][1]
+    ((_, ack),) = messages_of(one.on_message("a", heartbeat), HeartbeatAck)
     assert (ack.fences, ack.ended) == ([], [])
 
 
@@ -99,8 +99,8 @@ def test_a_refusal_with_an_end_stops_the_attempt() -> None:
 
 def test_an_end_that_is_not_final_is_held_under_the_lease() -> None:
     one = One("b", ended(host="b", final=False))
-    beats = [beat for _, beat in messages_of(one.pass_time(0.6), Heartbeat)]
-    assert [beat.held for beat in beats] == [[]] * len(beats)
+    beats = [heartbeat for _, heartbeat in messages_of(one.pass_time(0.6), Heartbeat)]
+    assert [heartbeat.held for heartbeat in beats] == [[]] * len(beats)
     one.on_message("a", HeartbeatAck(77, beats[-1].number, []))
     assert messages_of(one.pass_time(0.6), Heartbeat)[-1][1].held == [HeldRecord("Tour", 1, 4)]
     ((_, sought),) = messages_of(one.on_message("a", Locate(["Tour"], leases=True)), LeaseRecord)

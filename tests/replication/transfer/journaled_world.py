@@ -213,8 +213,8 @@ class JournaledWorld(World):
         for identity, times in self.injected.items():
             assert times == 1 or self.forgotten(identity), f"{identity} was injected {times} times"
         for start in self.count:
-            kept = [disk.get(RecordKey("copy", *start)) for disk in self.disks.values()]
-            alive = any(page is not None and page.state in ("RUN", "PREPARED") for page in kept)
+            records = [disk.get(RecordKey("copy", *start)) for disk in self.disks.values()]
+            alive = any(page is not None and page.state in ("RUN", "PREPARED") for page in records)
             assert alive or start in self.excused, f"{start} is on no disk"
 
     def forgotten(self, identity: tuple[str, int, int]) -> bool:

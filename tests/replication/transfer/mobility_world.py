@@ -26,7 +26,7 @@ from lfield.replication.transfer.generations import outranks
 from lfield.wire.messages import Hello
 
 PROGRAM = b"p" * 32
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 Start = tuple[str, int]
 
@@ -97,7 +97,7 @@ class World:
             self.hello(host),
             peers=self.names,
             agents=list(self.homes),
-            unreachable_after=PATIENCE,
+            unreachable_after=TIMEOUT,
         )
         self.hosts[host.name] = host
 
@@ -232,7 +232,7 @@ class World:
                 self.connect(one, other)
             while self.packets:
                 self.deliver(self.packets.pop(0))
-            self.advance(PATIENCE + 1)
+            self.advance(TIMEOUT + 1)
 
     # The judge
 

@@ -24,15 +24,15 @@ from lfield.wire.messages import Hello
 
 def test_an_end_is_sent_until_every_host_confirms(a, b):
     a.mobility.on_linked(b.hello())
-    (told,) = a.mobility.on_ended(TOUR, 1, "died", "it fell\n  at line 3")
+    (reported,) = a.mobility.on_ended(TOUR, 1, "died", "it fell\n  at line 3")
     ended = Terminated(TOUR, 1, "died", "it fell\n  at line 3", "a", is_of_this_run=True)
-    assert told == Send("b", ended)
-    finished, ack = b.mobility.on_message("a", told.message, 0.0)
+    assert reported == Send("b", ended)
+    finished, ack = b.mobility.on_message("a", reported.message, 0.0)
     assert finished == DropTerminated(TOUR, 1, "died", "it fell\n  at line 3", "a")
     assert a.mobility.on_message("b", ack.message, 0.0) == []
     a.mobility.on_unlinked("b")
     assert a.mobility.on_linked(b.greeting()) == []
-    assert a.mobility.on_linked(Host("c").hello()) == [Send("c", told.message)]
+    assert a.mobility.on_linked(Host("c").hello()) == [Send("c", reported.message)]
     assert a.mobility.on_message("c", TerminatedAck(TOUR, 1), 0.0) == []
     assert b.known() == CoordinatorState(TOUR, 1, 0, 0, "EXITED", "a", "died", "it fell\n  at line 3")
 
@@ -131,9 +131,9 @@ def test_the_host_of_the_earlier_start_ends_the_later_one(b):
     b.receive("a", transfer(1), b"block 1")
     c = Host("c")
     c.receive("a", transfer(1, generation=2), b"block 1")
-    (told,) = b.mobility.on_linked(c.greeting())
-    assert (told.message.outcome, told.message.generation) == ("superseded", 2)
-    stop, _ = c.mobility.on_message("b", told.message, 0.0)
+    (reported,) = b.mobility.on_linked(c.greeting())
+    assert (reported.message.outcome, reported.message.generation) == ("superseded", 2)
+    stop, _ = c.mobility.on_message("b", reported.message, 0.0)
     assert isinstance(stop, TerminateCopy)
 
 

@@ -13,7 +13,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
-from mobility_world import PATIENCE, World
+from mobility_world import TIMEOUT, World
 
 from lfield.replication.transfer.core import Mobility
 
@@ -134,7 +134,7 @@ class MobilityMachine(RuleBasedStateMachine):
         if chance == 0:
             self.world.finish(*self._running(pick), outcome)
 
-    @rule(seconds=st.sampled_from([1.0, PATIENCE / 2, PATIENCE + 1]))
+    @rule(seconds=st.sampled_from([1.0, TIMEOUT / 2, TIMEOUT + 1]))
     def wait(self, seconds) -> None:
         self.world.advance(seconds)
 

@@ -155,12 +155,12 @@ def test_any_host_may_report_a_recovery(away):
 
 
 def test_a_host_proves_a_transfer_to_another_only_by_a_higher_number_or_a_recovery(a):
-    asked = TransferQuery(TOUR, 1, 3, 99)
-    assert a.mobility.prove_outcome(asked) is None
+    request = TransferQuery(TOUR, 1, 3, 99)
+    assert a.mobility.prove_outcome(request) is None
     a.mobility.on_message("c", TransferQuery(TOUR, 1, 3, 1), 0.0)
-    assert a.mobility.prove_outcome(asked) is None
+    assert a.mobility.prove_outcome(request) is None
     a.mobility.on_message("c", TransferQuery(TOUR, 1, 4, 1), 0.0)
-    assert a.mobility.prove_outcome(asked) == TransferAccepted(TOUR, 1, 3)
+    assert a.mobility.prove_outcome(request) == TransferAccepted(TOUR, 1, 3)
     a.receive("c", transfer(1, generation=GENERATION_STRIDE + 1), b"block")
     assert a.mobility.prove_outcome(TransferQuery(TOUR, 1, 9, 99)).kind == SUPERSEDED
 
@@ -184,18 +184,18 @@ def test_a_transfer_that_never_arrived_is_resumed_after_the_patience(away):
 
 
 def test_silence_leads_to_doubt_and_never_to_a_second_copy(away):
-    (doubt,) = away.mobility.tick(10.0)
-    assert isinstance(doubt, MarkInDoubt)
-    assert "b has not confirmed within 10 s" in doubt.reason
+    (query,) = away.mobility.tick(10.0)
+    assert isinstance(query, MarkInDoubt)
+    assert "b has not confirmed within 10 s" in query.reason
     assert away.mobility.tick(1e6) == []
     assert away.known().state == "IN DOUBT"
-    assert away.known().detail == doubt.reason
+    assert away.known().detail == query.reason
 
 
 def test_a_restarted_receiver_leaves_the_sender_in_doubt(away):
     away.mobility.on_unlinked("b")
-    (doubt,) = away.mobility.on_linked(Host("b", incarnation=2).hello())
-    assert "restarted" in doubt.reason
+    (query,) = away.mobility.on_linked(Host("b", incarnation=2).hello())
+    assert "restarted" in query.reason
     assert away.mobility.on_linked(Host("b", incarnation=2).hello()) == []
     assert away.mobility.tick(1e6) == []
     assert away.mobility.next_deadline() is None

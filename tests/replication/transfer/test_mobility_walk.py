@@ -6,7 +6,7 @@ The walks find broken machines whose fault needs a rare sequence.
 import random
 
 import pytest
-from mobility_world import PATIENCE, World
+from mobility_world import TIMEOUT, World
 
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Send
@@ -15,7 +15,7 @@ from lfield.wire.coordinator_messages import NEVER_ARRIVED, TransferQuery, Trans
 
 def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:
     """One walk, checked after every step and after the network is healed."""
-    dice = random.Random(seed)
+    rng = random.Random(seed)
     world = World("abc", {"Tour:one": "a", "Tour:two": "b"}, machine)
     for pair in world.unlinked_pairs():
         world.connect(*pair)
@@ -31,8 +31,8 @@ def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:
         disturb: 0.3,
     }
     actions, odds = list(weights), list(weights.values())
-    for action in dice.choices(actions, odds, k=steps):
-        action(world, dice)
+    for action in rng.choices(actions, odds, k=steps):
+        action(world, rng)
         world.check()
     world.heal()
     world.check_healed()
@@ -44,65 +44,65 @@ def walks(machine: type[Mobility], seeds: range) -> int:
     return sum(sum(walk(machine, seed).injected.values()) for seed in seeds)
 
 
-def deliver(world: World, dice: random.Random) -> None:
+def deliver(world: World, rng: random.Random) -> None:
     if world.packets:
-        late = dice.random() < 0.5
-        world.deliver(world.packets.pop(dice.randrange(len(world.packets)) if late else 0))
+        late = rng.random() < 0.5
+        world.deliver(world.packets.pop(rng.randrange(len(world.packets)) if late else 0))
 
 
-def wander(world: World, dice: random.Random) -> None:
+def wander(world: World, rng: random.Random) -> None:
     running = [(host, start) for host in world.hosts.values() for start in host.running]
     if running:
-        host, start = dice.choice(running)
+        host, start = rng.choice(running)
         world.work(host, start)
-        world.wander(host, start, dice.choice([name for name in world.names if name != host.name]))
+        world.wander(host, start, rng.choice([name for name in world.names if name != host.name]))
 
 
-def connect(world: World, dice: random.Random) -> None:
+def connect(world: World, rng: random.Random) -> None:
     pairs = world.unlinked_pairs()
     if pairs:
-        world.connect(*dice.choice(pairs))
+        world.connect(*rng.choice(pairs))
 
 
-def flap(world: World, dice: random.Random) -> None:
-    one, other = dice.sample(world.names, 2)
+def flap(world: World, rng: random.Random) -> None:
+    one, other = rng.sample(world.names, 2)
     world.cut(one, other)
     world.notice(one, other)
-    if dice.random() < 0.8:
+    if rng.random() < 0.8:
         world.notice(other, one)
         world.connect(one, other)
 
 
-def lose(world: World, dice: random.Random) -> None:
+def lose(world: World, rng: random.Random) -> None:
     if world.packets:
-        world.packets.pop(dice.randrange(len(world.packets)))
+        world.packets.pop(rng.randrange(len(world.packets)))
 
 
-def repeat(world: World, dice: random.Random) -> None:
+def repeat(world: World, rng: random.Random) -> None:
     if world.packets:
-        world.packets.append(dice.choice(world.packets))
+        world.packets.append(rng.choice(world.packets))
 
 
-def wait(world: World, dice: random.Random) -> None:
-    world.advance(dice.choice([1.0, PATIENCE / 2, PATIENCE + 1]))
+def wait(world: World, rng: random.Random) -> None:
+    world.advance(rng.choice([1.0, TIMEOUT / 2, TIMEOUT + 1]))
 
 
-def notice(world: World, dice: random.Random) -> None:
-    world.notice(*dice.sample(world.names, 2))
+def notice(world: World, rng: random.Random) -> None:
+    world.notice(*rng.sample(world.names, 2))
 
 
-def disturb(world: World, dice: random.Random) -> None:
+def disturb(world: World, rng: random.Random) -> None:
     """End a life: a kill, a restart, a coordinator's end, a full machine."""
-    name = dice.choice(world.names)
+    name = rng.choice(world.names)
     host = world.hosts.get(name)
     if host is None:
         world.boot(name)
-    elif dice.random() < 0.3:
+    elif rng.random() < 0.3:
         world.kill(name)
-    elif dice.random() < 0.5:
+    elif rng.random() < 0.5:
         host.full = not host.full
     elif host.running:
-        world.finish(host, dice.choice(sorted(host.running)), dice.choice(["done", "died"]))
+        world.finish(host, rng.choice(sorted(host.running)), rng.choice(["done", "died"]))
 
 
 @pytest.mark.few(4)

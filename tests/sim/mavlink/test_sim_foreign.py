@@ -103,12 +103,12 @@ def upload(c, loader):
     """A mission by mavwp's loader; the result."""
     c.waypoint_count_send(loader.count())
     while True:
-        asked = c.recv_match(
+        request = c.recv_match(
             type=["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], blocking=True, timeout=5
         )
-        if asked.get_type() == "MISSION_ACK":
-            return asked.type
-        c.mav.send(loader.wp(asked.seq))
+        if request.get_type() == "MISSION_ACK":
+            return request.type
+        c.mav.send(loader.wp(request.seq))
 
 
 def waypoint(number, latitude, longitude, height, *, current=0, command=16):

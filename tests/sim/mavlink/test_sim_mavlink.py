@@ -40,10 +40,10 @@ def test_ardupilot_sends_only_heartbeats_without_a_request():
     # One TIMESYNC in 10 s.
     assert kinds(received) == {"HEARTBEAT", "TIMESYNC"}
     assert len(received) == 6
-    beat = received[0]
-    assert (beat.type, beat.autopilot, beat.get_srcComponent()) == (2, 3, 1)
-    assert beat.base_mode & 1
-    assert beat.get_msgbuf()[0] == 0xFD, "MAVLink 2"
+    heartbeat = received[0]
+    assert (heartbeat.type, heartbeat.autopilot, heartbeat.get_srcComponent()) == (2, 3, 1)
+    assert heartbeat.base_mode & 1
+    assert heartbeat.get_msgbuf()[0] == 0xFD, "MAVLink 2"
 
 
 def test_stream_has_the_requested_rate_and_stops():
@@ -66,7 +66,7 @@ def test_request_data_stream_starts_and_stops_streams():
 
 @pytest.mark.parametrize("kind", sorted(MESSAGES.keys() - {436}))
 def test_every_message_can_be_requested_once(kind):
-    flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.lacks else "ardupilot"
+    flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.unknown_messages else "ardupilot"
     c = Client(flavour=flavour)
     c.autopilot.parameters |= {"FENCE_ENABLE": 1, "EKF2_DRAG_CTRL": 1}
     targets = (

@@ -78,9 +78,9 @@ def test_px4_streams_without_a_request():
 
 def test_heartbeat_and_capabilities_are_those_of_px4():
     c = px4()
-    beat = next(m for m in c.wait(1.0) if m.get_type() == "HEARTBEAT")
-    assert (beat.autopilot, beat.type) == (12, 2)
-    assert (beat.custom_mode >> 16 & 0xFF, beat.custom_mode >> 24) == LOITER
+    heartbeat = next(m for m in c.wait(1.0) if m.get_type() == "HEARTBEAT")
+    assert (heartbeat.autopilot, heartbeat.type) == (12, 2)
+    assert (heartbeat.custom_mode >> 16 & 0xFF, heartbeat.custom_mode >> 24) == LOITER
     assert c.ask(148).capabilities & 0x10
 
 

@@ -63,16 +63,16 @@ def test_copter_tilts_into_the_wind():
 def test_wind_above_the_tilt_limit_carries_the_copter(flavour, limit):
     tilt = {"ANGLE_MAX": math.radians(30), "MPC_TILTMAX_AIR": math.radians(45)}[limit]
     most = 15 * math.sqrt(math.tan(tilt))
-    held, taken = (hovering(f"wind={most + more}", flavour=flavour) for more in (-0.5, 3.0))
+    held, drifted = (hovering(f"wind={most + more}", flavour=flavour) for more in (-0.5, 3.0))
     assert farthest(held, 20.0) < 6.0
     assert math.dist(held.place[:2], (0.0, 0.0)) < 0.1
-    taken.wait(20.0)
-    assert taken.place[0] < -20.0, "to the south, as the wind is from the north"
-    drift = -taken.autopilot.vehicle.velocity[0]
+    drifted.wait(20.0)
+    assert drifted.place[0] < -20.0, "to the south, as the wind is from the north"
+    drift = -drifted.autopilot.vehicle.velocity[0]
     assert drift == pytest.approx(3.0, abs=0.3), "the drift equals the excess of the wind"
-    taken.fault("wind=2")
-    taken.wait(30.0)
-    assert math.hypot(*taken.autopilot.vehicle.velocity[:2]) < 0.05, "it holds again"
+    drifted.fault("wind=2")
+    drifted.wait(30.0)
+    assert math.hypot(*drifted.autopilot.vehicle.velocity[:2]) < 0.05, "it holds again"
 
 
 def test_lower_tilt_limit_lets_the_copter_drift():

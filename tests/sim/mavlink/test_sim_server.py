@@ -124,9 +124,9 @@ def test_signal_ends_the_process_with_status_0(number):
 
 
 def test_port_in_use_is_reported_without_a_traceback():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
+        occupied.bind(("127.0.0.1", 0))
+        port = occupied.getsockname()[1]
         process = start("--listen", f"udp:127.0.0.1:{port}")
         out, err = process.communicate(timeout=60)
     assert (out, process.returncode) == ("", 69)

@@ -56,9 +56,9 @@ def main() -> None:
     parser.add_argument("traces", nargs="*")
     parser.add_argument("--write", action="store_true", help="bring the table up to date")
     args = parser.parse_args()
-    table, begun, count, left = load(), time.monotonic(), 0, 0
+    table, started, count, left = load(), time.monotonic(), 0, 0
     for name in names():
-        if args.traces and not any(name.startswith(wanted) for wanted in args.traces):
+        if args.traces and not any(name.startswith(prefix) for prefix in args.traces):
             continue
         found = verdict(name, table)
         count, left = count + 1, left + len(found.found)
@@ -74,7 +74,7 @@ def main() -> None:
             renew(table, name, found)
     if args.write:
         save(table)
-    print(f"{count} traces, {left} differences, {time.monotonic() - begun:.1f} s")
+    print(f"{count} traces, {left} differences, {time.monotonic() - started:.1f} s")
 
 
 if __name__ == "__main__":

@@ -69,13 +69,13 @@ def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
     for number, line in enumerate(commands):
         same = (c.t for c in commands[number + 1 :] if c.fields["command"] == line.fields["command"])
         end = min(next(same, math.inf), line.t + 8.0)
-        ours, theirs = _acks(real, line, end), _acks(played.trace, line, end)
-        real_results, fake_results = _describe(ours), _describe(theirs)
+        real_values, simulated_values = _acks(real, line, end), _acks(played.trace, line, end)
+        real_results, fake_results = _describe(real_values), _describe(simulated_values)
         what = f"{line.t:.1f} {_call(line)}"
         if real_results != fake_results:
             yield Difference(f"{what}: {real_results} / {fake_results}")
-        elif ours and abs(ours[0].t - theirs[0].t) > ACK_TIME:
-            times = Figures(ours[0].t - line.t, theirs[0].t - line.t, ACK_TIME)
+        elif real_values and abs(real_values[0].t - simulated_values[0].t) > ACK_TIME:
+            times = Figures(real_values[0].t - line.t, simulated_values[0].t - line.t, ACK_TIME)
             yield Difference(f"{what}: time of the acknowledgement", figures=times)
 
 
@@ -130,16 +130,16 @@ def texts(trace: Trace) -> list[Text]:
 
 
 def _texts(real: Trace, played: Played) -> Iterator[Difference]:
-    own, theirs = texts(real), texts(played.trace)
+    own, simulated_values = texts(real), texts(played.trace)
     missing: Counter[str] = Counter()
     for each in own:
-        patience = TEXT_TIME + STATE_SHARE * min(each.t - _input_before(real, each.t), 40.0)
-        near = [one for one in theirs if one.text == each.text and abs(one.t - each.t) <= patience]
+        timeout = TEXT_TIME + STATE_SHARE * min(each.t - _input_before(real, each.t), 40.0)
+        near = [one for one in simulated_values if one.text == each.text and abs(one.t - each.t) <= timeout]
         if not near:
             missing[each.text] += 1
             continue
         same = min(near, key=lambda one: abs(one.t - each.t))
-        theirs.remove(same)
+        simulated_values.remove(same)
         if same.severity != each.severity:
             yield Difference(f"text's severity: {each.text}: {each.severity} / {same.severity}")
     text_counts = Counter(each.text for each in own)
@@ -148,7 +148,7 @@ def _texts(real: Trace, played: Played) -> Iterator[Difference]:
             f"text missing: {text}",
             figures=Figures(text_counts[text], text_counts[text] - count, 0.0, "times"),
         )
-    for text, count in Counter(each.text for each in theirs).items():
+    for text, count in Counter(each.text for each in simulated_values).items():
         same_text = text_counts[text] - missing[text]
         yield Difference(
             f"text too many: {text}", figures=Figures(same_text, same_text + count, 0.0, "times")
@@ -179,10 +179,10 @@ def _states(real: Trace, played: Played) -> Iterator[Difference]:
         ("total of items", "MISSION_CURRENT", lambda m: m.fields["total"]),
         ("mission_state", "MISSION_CURRENT", lambda m: m.fields["mission_state"]),
     ):
-        ours, theirs = (_changes(trace, kind, value) for trace in (real, played.trace))
-        if bool(ours) != bool(theirs):
-            yield Difference(f"{field}: {'is not told' if ours else 'is told'}")
-        yield from _apart(real, field, ours, theirs)
+        real_values, simulated_values = (_changes(trace, kind, value) for trace in (real, played.trace))
+        if bool(real_values) != bool(simulated_values):
+            yield Difference(f"{field}: {'is not told' if real_values else 'is told'}")
+        yield from _apart(real, field, real_values, simulated_values)
 
 
 def _changes(trace: Trace, kind: str, value: Callable[[Line], object]) -> list[tuple[float, object]]:
@@ -201,21 +201,21 @@ def _apart(
         return
     since = max(ours[0][0], theirs[0][0])
     times = sorted({t for t, _ in [*ours, *theirs] if t > since} | {since, real.end})
-    begun: tuple[float, object, object] | None = None
+    open_span: tuple[float, object, object] | None = None
     for t in times:
         pair = _at(ours, t), _at(theirs, t)
-        if begun and (t == times[-1] or pair != begun[1:]):
-            start, mine, other = begun
+        if open_span and (t == times[-1] or pair != open_span[1:]):
+            start, real_value, other = open_span
             if t - start > STATE_TIME + STATE_SHARE * min(start - _input_before(real, start), 40.0):
                 when = _input_before(real, start)
                 yield Difference(
-                    f"{when:.1f} {field}: {mine} / {other}",
+                    f"{when:.1f} {field}: {real_value} / {other}",
                     f"from {start:.1f} to {t:.1f}",
                     Figures(None, t - start, STATE_TIME),
                 )
-            begun = None
-        if begun is None and pair[0] != pair[1]:
-            begun = t, *pair
+            open_span = None
+        if open_span is None and pair[0] != pair[1]:
+            open_span = t, *pair
 
 
 def _at(history: list[tuple[float, object]], t: float) -> object:
@@ -236,15 +236,17 @@ def _motions(real: Trace, played: Played) -> Iterator[Difference]:
     for start, end in itertools.pairwise([*moves, real.end]):
         if end - start < 1.5:
             continue
-        ours, theirs = (trace.between(start, end, "LOCAL_POSITION_NED") for trace in (real, played.trace))
-        if len(ours) < 4 or len(theirs) < 4:
+        real_values, simulated_values = (
+            trace.between(start, end, "LOCAL_POSITION_NED") for trace in (real, played.trace)
+        )
+        if len(real_values) < 4 or len(simulated_values) < 4:
             continue
         for what, measure, slack, share, unit in (
             ("top speed", _top_speed, SPEED, SPEED_SHARE, "m/s"),
             ("way", _way, DISTANCE, DISTANCE_SHARE, "m"),
             ("climb", _climb, HEIGHT, DISTANCE_SHARE, "m"),
         ):
-            a, b = measure(ours), measure(theirs)
+            a, b = measure(real_values), measure(simulated_values)
             if abs(a - b) > slack + share * abs(a):
                 yield Difference(f"{start:.1f} {what}", figures=Figures(a, b, slack, unit))
         yield from _turn(real, played.trace, start, end)
@@ -272,10 +274,12 @@ def _turn(real: Trace, fake: Trace, start: float, end: float) -> Iterator[Differ
             return
         steps = itertools.pairwise(lines)
         turns.append(sum(math.remainder(b.get("yaw") - a.get("yaw"), math.tau) for a, b in steps))
-    ours, theirs = (math.degrees(turn) for turn in turns)
-    apart = math.remainder(theirs - ours, 360.0)
-    if abs(apart) > HEADING + DISTANCE_SHARE * min(abs(ours), 180.0):
-        yield Difference(f"{start:.1f} turn", figures=Figures(ours, ours + apart, HEADING, "degrees"))
+    real_values, simulated_values = (math.degrees(turn) for turn in turns)
+    apart = math.remainder(simulated_values - real_values, 360.0)
+    if abs(apart) > HEADING + DISTANCE_SHARE * min(abs(real_values), 180.0):
+        yield Difference(
+            f"{start:.1f} turn", figures=Figures(real_values, real_values + apart, HEADING, "degrees")
+        )
 
 
 # -- data that only some recordings have------------------------------------------------------------------
@@ -366,12 +370,12 @@ def _spread(lines: list[Line], value: Callable[[Line], float]) -> float | None:
 
 
 def _home(real: Trace, fake: Trace, t: float) -> Iterator[Difference]:
-    ours, theirs = real.last("HOME_POSITION", t), fake.last("HOME_POSITION", t)
+    real_values, simulated_values = real.last("HOME_POSITION", t), fake.last("HOME_POSITION", t)
     high, low = real.last("GLOBAL_POSITION_INT", t), fake.last("GLOBAL_POSITION_INT", t)
-    if ours is None or theirs is None or high is None or low is None:
+    if real_values is None or simulated_values is None or high is None or low is None:
         return
     for axis, slack in (("x", 1.0), ("y", 1.0), ("z", 1.5)):
-        a, b = ours.get(axis), theirs.get(axis)
+        a, b = real_values.get(axis), simulated_values.get(axis)
         if abs(a - b) > slack:
             yield Difference(f"{t:.0f} home's {axis}", figures=Figures(a, b, slack, "m"))
     a, b = high.get("relative_alt") / 1000, low.get("relative_alt") / 1000

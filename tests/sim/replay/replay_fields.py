@@ -79,16 +79,19 @@ def fields(real: Trace, fake: Trace, mode_name: Callable[[object], str]) -> Iter
             f"{each.message}.{each.name}", real.out(each.message), fake.out(each.message), each
         )
     for each, mode in OF_MODES:
-        ours, theirs = real.out(each.message), fake.out(each.message)
-        for number in sorted({line.fields[mode] for line in [*ours, *theirs]}):
-            a, b = ([line for line in lines if line.fields[mode] == number] for lines in (ours, theirs))
+        real_values, simulated_values = real.out(each.message), fake.out(each.message)
+        for number in sorted({line.fields[mode] for line in [*real_values, *simulated_values]}):
+            a, b = (
+                [line for line in lines if line.fields[mode] == number]
+                for lines in (real_values, simulated_values)
+            )
             yield from _compare(f"{each.message}.{each.name} in {mode_name(number)}", a, b, each)
 
 
 def _compare(what: str, real: list[Line], fake: list[Line], field: Field) -> Iterator[Difference]:
-    ours, theirs = ({field.of(line) for line in lines} for lines in (real, fake))
-    if ours and theirs - ours:
-        yield Difference(f"{what}: {_list(ours)} / {_list(theirs)}")
+    real_values, simulated_values = ({field.of(line) for line in lines} for lines in (real, fake))
+    if real_values and simulated_values - real_values:
+        yield Difference(f"{what}: {_list(real_values)} / {_list(simulated_values)}")
 
 
 def _list(values: set[object]) -> str:
@@ -99,10 +102,10 @@ def messages(real: Trace, counts: dict[str, list[float]]) -> Iterator[Difference
     """The message types that are sent at all; the recorder counted each type."""
     if "seen" not in real.header:
         return
-    seen = {kind for kind, count in real.header["seen"].items() if count}
+    kinds = {kind for kind, count in real.header["seen"].items() if count}
     sent = {kind for kind, times in counts.items() if times}
     known = set(IDS.values())
-    for kind in sorted((seen & known) - sent - ELSEWHERE):
+    for kind in sorted((kinds & known) - sent - ELSEWHERE):
         yield Difference(f"message missing: {kind}")
-    for kind in sorted(sent - seen - ELSEWHERE):
+    for kind in sorted(sent - kinds - ELSEWHERE):
         yield Difference(f"message too many: {kind}")

@@ -47,9 +47,9 @@ class Stream:
                 "body_yaw_rate": self.yaw_rate, "thrust": 0.0,
             }  # fmt: skip
         zero = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"), 0.0)
-        given = {"vx": self.vx, "vz": self.vz, "afx": self.afx, "yaw_rate": self.yaw_rate}
+        fields = {"vx": self.vx, "vz": self.vz, "afx": self.afx, "yaw_rate": self.yaw_rate}
         head = {"time_boot_ms": 0, "target_system": 1, "target_component": 1, "coordinate_frame": 1}
-        return {**head, "type_mask": self.type_mask, **zero, **given}
+        return {**head, "type_mask": self.type_mask, **zero, **fields}
 
 
 def _offboard(*spans: tuple[float, float]) -> list[Stream]:

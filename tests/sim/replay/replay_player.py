@@ -1,7 +1,7 @@
 """Plays the inputs of a recording to the fake, in virtual time, and records the fake in the same form.
 
 The recorder waited for events: ready, standing, up or down, item reached. The inputs are sent at their
-recorded times; where the fake has not yet reached the same event, the recording pauses (at most `PATIENCE`
+recorded times; where the fake has not yet reached the same event, the recording pauses (at most `TIMEOUT`
 seconds, once until they agree again) and all later times are shifted. The pause is reported as a difference.
 Times in the result are those of the recording.
 """
@@ -24,7 +24,7 @@ from lfield_sim.mavlink.link.radio_link import make_faults
 from lfield_sim.mavlink.mavlink_fake import MavlinkFake
 
 #: Seconds: a time step, and the maximum wait of the recording for the fake.
-TICK, PATIENCE = 0.02, 10.0
+TICK, TIMEOUT = 0.02, 10.0
 #: Seconds for which the real vehicle must have stood still.
 STOOD = 1.5
 #: Minimum seconds between two compared messages of a type.
@@ -150,7 +150,7 @@ class _Player:
             self.patient = True
             return
         waited = 0.0
-        while self.patient and missing and waited < PATIENCE:
+        while self.patient and missing and waited < TIMEOUT:
             self.held += TICK
             self._on_packet(self.fake.advance(TICK))
             waited += TICK
@@ -179,15 +179,15 @@ class _Player:
         real, own = self.trace.last("HEARTBEAT", t), self.newest.get("HEARTBEAT")
         if real is None or own is None or _armed(real) or not _armed(own):
             return False
-        asked = [
+        times = [
             line.t for line in self.trace.inputs if line.fields.get("command") in (400, 300) and line.t < t
         ]
-        since = max(asked, default=0.0)
-        return any(_armed(beat) for beat in self.trace.between(since, t, "HEARTBEAT"))
+        since = max(times, default=0.0)
+        return any(_armed(heartbeat) for heartbeat in self.trace.between(since, t, "HEARTBEAT"))
 
     def _is_to_be_ready(self, t: float) -> bool:
-        beat = self.trace.last("HEARTBEAT", t)
-        if beat is not None and _armed(beat):
+        heartbeat = self.trace.last("HEARTBEAT", t)
+        if heartbeat is not None and _armed(heartbeat):
             # No wait for a flying vehicle: its bit changes often.
             return False
         real, own = self.trace.last("SYS_STATUS", t), self.newest.get("SYS_STATUS")

@@ -41,24 +41,24 @@ def services(real: Trace, fake: Trace) -> Iterator[Difference]:
 
 
 def _parameters(real: Trace, fake: Trace) -> Iterator[Difference]:
-    asked = [line for line in real.inputs if line.type in ("PARAM_REQUEST_READ", "PARAM_SET")]
+    requests = [line for line in real.inputs if line.type in ("PARAM_REQUEST_READ", "PARAM_SET")]
     late: Line | None = None
-    for line in asked:
-        same = (each.t for each in asked if each.t > line.t and _name(each) == _name(line))
+    for line in requests:
+        same = (each.t for each in requests if each.t > line.t and _name(each) == _name(line))
         lists = (each.t for each in real.inputs if each.t > line.t and each.type == "PARAM_REQUEST_LIST")
         end = min(next(same, math.inf), next(lists, math.inf), line.t + PARAMETER_WINDOW)
-        ours, theirs = (_told(trace, line, end) for trace in (real, fake))
-        theirs = [value for value in theirs if value is not late]
-        if ours and not theirs:
+        real_lines, simulated_lines = (_told(trace, line, end) for trace in (real, fake))
+        simulated_lines = [value for value in simulated_lines if value is not late]
+        if real_lines and not simulated_lines:
             # The real answer was just before the next request, so the fake's may be just after it.
-            theirs = _told(fake, line, end + PARAMETER_TIME)[:1]
-            late = theirs[0] if theirs else None
+            simulated_lines = _told(fake, line, end + PARAMETER_TIME)[:1]
+            late = simulated_lines[0] if simulated_lines else None
         what = f"{line.t:.1f} {_question(line)}"
-        mine, other = _value(ours), _value(theirs)
-        if mine != other:
-            yield Difference(f"{what}: {mine} / {other}")
-        elif ours and abs(ours[0].t - theirs[0].t) > PARAMETER_TIME:
-            times = Figures(ours[0].t - line.t, theirs[0].t - line.t, PARAMETER_TIME)
+        real_value, other = _value(real_lines), _value(simulated_lines)
+        if real_value != other:
+            yield Difference(f"{what}: {real_value} / {other}")
+        elif real_lines and abs(real_lines[0].t - simulated_lines[0].t) > PARAMETER_TIME:
+            times = Figures(real_lines[0].t - line.t, simulated_lines[0].t - line.t, PARAMETER_TIME)
             yield Difference(f"{what}: time", figures=times)
 
 
@@ -96,21 +96,26 @@ def _value(lines: list[Line]) -> str:
 
 
 def _plans(real: Trace, fake: Trace) -> Iterator[Difference]:
-    asked = [line for line in real.inputs if line.type in ASKING]
-    for number, line in enumerate(asked):
-        after = asked[number + 1].t if number + 1 < len(asked) else line.t + PLAN_WINDOW
+    requests = [line for line in real.inputs if line.type in ASKING]
+    for number, line in enumerate(requests):
+        after = requests[number + 1].t if number + 1 < len(requests) else line.t + PLAN_WINDOW
         end = min(after, line.t + PLAN_WINDOW)
-        ours, theirs = (trace.between(line.t, end, *PLANS) for trace in (real, fake))
+        real_lines, simulated_lines = (trace.between(line.t, end, *PLANS) for trace in (real, fake))
         what = f"{line.t:.2f} {_brief(line)}"
-        mine, other = (", ".join(_brief(each) for each in lines) or "nothing" for lines in (ours, theirs))
-        if mine != other:
-            yield Difference(f"{what}: {mine} / {other}")
+        real_value, other = (
+            ", ".join(_brief(each) for each in lines) or "nothing" for lines in (real_lines, simulated_lines)
+        )
+        if real_value != other:
+            yield Difference(f"{what}: {real_value} / {other}")
         elif (
-            apart := max((abs(a.t - b.t) for a, b in zip(ours, theirs, strict=True)), default=0.0)
+            apart := max(
+                (abs(a.t - b.t) for a, b in zip(real_lines, simulated_lines, strict=True)), default=0.0
+            )
         ) > PLAN_TIME:
             yield Difference(
                 f"{what}: times",
-                f"{[round(a.t - line.t, 2) for a in ours]} / {[round(b.t - line.t, 2) for b in theirs]}",
+                f"{[round(a.t - line.t, 2) for a in real_lines]} / "
+                f"{[round(b.t - line.t, 2) for b in simulated_lines]}",
                 Figures(None, apart, PLAN_TIME),
             )
 
@@ -133,9 +138,11 @@ def _brief(line: Line) -> str:
 
 def _reached(real: Trace, fake: Trace) -> Iterator[Difference]:
     starts = [line.t for line in real.inputs if line.fields.get("command") == 300]
-    ours, theirs = real.out("MISSION_ITEM_REACHED"), fake.out("MISSION_ITEM_REACHED")
-    for seq in sorted({int(line.get("seq")) for line in [*ours, *theirs]}):
-        a, b = ([line.t for line in lines if line.get("seq") == seq] for lines in (ours, theirs))
+    real_lines, simulated_lines = real.out("MISSION_ITEM_REACHED"), fake.out("MISSION_ITEM_REACHED")
+    for seq in sorted({int(line.get("seq")) for line in [*real_lines, *simulated_lines]}):
+        a, b = (
+            [line.t for line in lines if line.get("seq") == seq] for lines in (real_lines, simulated_lines)
+        )
         if not a or not b:
             yield Difference(f"item {seq} reached: {'never' if not b else 'too much'}", f"{a} / {b}")
             continue
@@ -150,9 +157,11 @@ def _reached(real: Trace, fake: Trace) -> Iterator[Difference]:
 def _logs(real: Trace, fake: Trace) -> Iterator[Difference]:
     for line in real.inputs:
         if line.type == "LOG_REQUEST_LIST":
-            ours, theirs = (len(trace.between(line.t, line.t + 2.0, "LOG_ENTRY")) for trace in (real, fake))
-            if (ours > 0) != (theirs > 0):
-                yield Difference(f"{line.t:.1f} log entries: {ours} / {theirs}")
+            real_lines, simulated_lines = (
+                len(trace.between(line.t, line.t + 2.0, "LOG_ENTRY")) for trace in (real, fake)
+            )
+            if (real_lines > 0) != (simulated_lines > 0):
+                yield Difference(f"{line.t:.1f} log entries: {real_lines} / {simulated_lines}")
 
 
 # -- files -----------------------------------------------------------------------------------------------
@@ -175,8 +184,8 @@ def _files(real: Trace, fake: Trace) -> Iterator[Difference]:
 
 
 def _block(fake: Trace, text: str, asked: list[Line]) -> Iterator[Difference]:
-    wanted = _results(text, asked)
-    for line, result in zip(asked, wanted, strict=True):
+    expected = _results(text, asked)
+    for line, result in zip(asked, expected, strict=True):
         reply = _reply(fake, line)
         answer = "no answer" if reply is None else _word(reply)
         if result and result != answer:

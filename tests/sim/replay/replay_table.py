@@ -70,11 +70,11 @@ class Verdict:
 
 def once(found: Iterable[Difference]) -> list[Difference]:
     """Each key once; durations are added up."""
-    kept: dict[str, Difference] = {}
+    rows_by_key: dict[str, Difference] = {}
     for each in found:
-        before = kept.get(each.key)
-        kept[each.key] = _sum(before, each) if before else each
-    return list(kept.values())
+        before = rows_by_key.get(each.key)
+        rows_by_key[each.key] = _sum(before, each) if before else each
+    return list(rows_by_key.values())
 
 
 def _sum(one: Difference, other: Difference) -> Difference:
@@ -115,15 +115,15 @@ def reason(name: str, difference: Difference, table: Table) -> str:
 
 def renew(table: Table, name: str, verdict: Verdict) -> None:
     """Adds new differences, removes those that no longer occur, and writes the current figures."""
-    kept = {
+    rows_by_key = {
         why: [_renewed(entry, verdict.found) for entry in listed if entry not in verdict.stale]
         for why, listed in (table.get(name) or {}).items()
     }
-    kept.setdefault(TO_BE_MENDED, []).extend(each.entry for each in verdict.unlisted)
-    kept = {why: listed for why, listed in kept.items() if listed}
+    rows_by_key.setdefault(TO_BE_MENDED, []).extend(each.entry for each in verdict.unlisted)
+    rows_by_key = {why: listed for why, listed in rows_by_key.items() if listed}
     table.pop(name, None)
-    if kept:
-        table[name] = kept
+    if rows_by_key:
+        table[name] = rows_by_key
 
 
 def unbounded(table: Table) -> list[str]:

@@ -32,14 +32,14 @@ def test_fake_acts_like_the_recorded_autopilot(name):
 
 @pytest.mark.few(0)
 def test_entry_for_several_recordings_occurs_in_one_of_them():
-    gone = [
+    missing = [
         (trace, pattern)
         for trace, reasons in load().items()
         for listed in reasons.values()
         for pattern in listed
         if not any(matches(each, pattern) for name in _meant(trace) for each in verdict(name).found)
     ]
-    assert gone == []
+    assert missing == []
 
 
 def test_entry_without_bounds_is_about_texts_only():
@@ -55,8 +55,8 @@ def test_no_listed_difference_is_unexplained():
 
 
 def test_each_difference_has_a_reason_of_four_words():
-    reasons = {why for of_trace in load().values() for why in of_trace if why != TO_BE_MENDED}
-    assert [why for why in reasons if len(why.split()) < 4] == []
+    reasons = {reason for of_trace in load().values() for reason in of_trace if reason != TO_BE_MENDED}
+    assert [reason for reason in reasons if len(reason.split()) < 4] == []
 
 
 def test_all_recordings_are_present():

@@ -53,10 +53,10 @@ def test_computation_takes_time_in_which_the_process_handles_no_event() -> None:
     machine = SimulatedMachine("m", timeline, random.Random(1))
     computer = SimulatedComputer(machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {})
     one, other = computer.start().loop, computer.start().loop
-    seen: list[tuple[str, float]] = []
+    arrivals_by_host: list[tuple[str, float]] = []
 
     def note(what: str) -> None:
-        seen.append((what, timeline.now))
+        arrivals_by_host.append((what, timeline.now))
 
     def computes(seconds: float) -> None:
         one.compute(seconds)
@@ -68,14 +68,14 @@ def test_computation_takes_time_in_which_the_process_handles_no_event() -> None:
     one.thaw()
     other.enter(lambda: note("beside"))
     timeline.run(1.0)
-    assert seen == [("beside", 0.0), ("later", 0.5), ("came", 0.5)]
+    assert arrivals_by_host == [("beside", 0.0), ("later", 0.5), ("came", 0.5)]
     # A very short computation is charged together with later ones.
-    seen.clear()
+    arrivals_by_host.clear()
     for _ in range(3):
         one.enter(lambda: computes(0.0004))
-    assert len(seen) == 2
+    assert len(arrivals_by_host) == 2
     timeline.run(1.0)
-    assert seen[-1] == ("later", pytest.approx(1.0012))
+    assert arrivals_by_host[-1] == ("later", pytest.approx(1.0012))
 
 
 def test_a_wake_up_slightly_too_early_does_not_repeat_without_end() -> None:
@@ -89,17 +89,17 @@ def test_a_wake_up_slightly_too_early_does_not_repeat_without_end() -> None:
         .loop
     )
     due = loop.time() + 1.0
-    came: list[float] = []
+    arrivals: list[float] = []
 
     def look() -> None:
         if loop.time() <= due:
             loop.call_at(math.nextafter(due, math.inf), look)
         else:
-            came.append(timeline.now)
+            arrivals.append(timeline.now)
 
     loop.enter(look)
     timeline.run(2.0)
-    assert came
+    assert arrivals
 
 
 def test_too_many_events_end_a_simulation() -> None:

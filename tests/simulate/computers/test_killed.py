@@ -38,14 +38,14 @@ def _begun(timeline: EventQueue, said: list[str]) -> SimulatedProcess:
 
 @pytest.mark.few(0)
 def test_a_killed_process_is_never_unwound() -> None:
-    timeline, said = EventQueue(), list[str]()
-    process = _begun(timeline, said)
+    timeline, lines = EventQueue(), list[str]()
+    process = _begun(timeline, lines)
     timeline.run(1.0)
     process.die(-9)
     del process
     timeline.run(10.0)
     gc.collect()
-    assert said == []
+    assert lines == []
 
 
 async def _ends_with_more(loops: list[asyncio.AbstractEventLoop]) -> None:
@@ -69,20 +69,20 @@ def test_a_finally_block_after_the_simulation_uses_the_loop_of_its_process() -> 
 
 @pytest.mark.few(0)
 def test_processes_of_a_discarded_simulation_are_not_unwound() -> None:
-    said = list[str]()
+    lines = list[str]()
     timeline = EventQueue()
-    process = _begun(timeline, said)
+    process = _begun(timeline, lines)
     timeline.run(1.0)
     del timeline, process
     gc.collect()
-    assert said == []
+    assert lines == []
 
 
 def test_a_process_that_exits_is_unwound() -> None:
-    timeline, said = EventQueue(), list[str]()
-    _begun(timeline, said)
+    timeline, lines = EventQueue(), list[str]()
+    _begun(timeline, lines)
     timeline.run(6.0)
-    assert said == ["worked", "tidied up"]
+    assert lines == ["worked", "tidied up"]
 
 
 async def _numbers(said: list[str]) -> AsyncIterator[int]:
@@ -101,9 +101,9 @@ async def _takes_one(said: list[str]) -> None:
 
 
 def test_an_unfinished_generator_is_closed_by_its_process() -> None:
-    timeline, said = EventQueue(), list[str]()
+    timeline, lines = EventQueue(), list[str]()
     process = _computer(timeline).start()
     with closing_generators():
-        process.loop.enter(lambda: process.loop.create_task(_takes_one(said)))
+        process.loop.enter(lambda: process.loop.create_task(_takes_one(lines)))
         timeline.run(1.0)
-    assert said == ["1", "tidied up"]
+    assert lines == ["1", "tidied up"]

@@ -60,10 +60,10 @@ class Bug:
 def forgotten(seed: int) -> Scenario:
     """A scenario of a small team without journals, in which a home often restarts coordinators that it cannot
     reach."""
-    dice = random.Random(f"forgotten {seed}")
-    means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "island", "cut")}
-    story = replace(forgetful(seed), cast=3, hosts=3, walkers=1, arms=0, calls=FOR_EVER, stay=0.04)
-    return replace(story, lost_after=None, weather=14.0, seconds=14.0, stays=2, means=means)
+    rng = random.Random(f"forgotten {seed}")
+    means = {kind: rng.uniform(1.5, 4.0) for kind in ("kill", "restart", "island", "cut")}
+    scenario = replace(forgetful(seed), cast=3, hosts=3, walkers=1, arms=0, calls=FOR_EVER, stay=0.04)
+    return replace(scenario, lost_after=None, weather=14.0, seconds=14.0, stays=2, means=means)
 
 
 def forgotten_walkers(seed: int) -> Scenario:

@@ -25,11 +25,11 @@ from simulation_testing.scenarios.scenario_drawing import crowd, under_orders, w
 
 def ordered(seed: int) -> Scenario:
     """A scenario with orders of an operator, of hosts with journals that are often killed."""
-    dice = random.Random(f"ordered {seed}")
-    means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "guard_kill")}
-    story = replace(plain(seed), cast=3, hosts=3, arms=2, calls=FOR_EVER, stay=0.04, means=means)
-    story = replace(story, journals=True, lost_after=None, weather=14.0, seconds=14.0)
-    return under_orders(story, dice)
+    rng = random.Random(f"ordered {seed}")
+    means = {kind: rng.uniform(1.5, 4.0) for kind in ("kill", "restart", "guard_kill")}
+    scenario = replace(plain(seed), cast=3, hosts=3, arms=2, calls=FOR_EVER, stay=0.04, means=means)
+    scenario = replace(scenario, journals=True, lost_after=None, weather=14.0, seconds=14.0)
+    return under_orders(scenario, rng)
 
 
 def a_stop_is_forgotten_by_a_restart(patch: Patch) -> None:
@@ -58,16 +58,16 @@ def a_pause_does_not_make_devices_safe(patch: Patch) -> None:
 
 def hasty(seed: int) -> Scenario:
     """A scenario in which the end of a stop is in flight on slow links while the next stop uses fast ones."""
-    dice, story = random.Random(f"hasty {seed}"), ordered(seed)
+    rng, scenario = random.Random(f"hasty {seed}"), ordered(seed)
     aimed: list[Fault] = []
     for round in range(3):
-        pressed = 2.0 + 7.0 * round + dice.uniform(0.0, 0.5)
+        pressed = 2.0 + 7.0 * round + rng.uniform(0.0, 0.5)
         ended = pressed + 1.0
         aimed.append(Fault(pressed, "estop", "h0", "h1", 1.0, 0.0))
         # The operator's link is slow: the end has been sent when the next stop arrives, and has not arrived.
         aimed += [Fault(ended - 0.01, "slow", host, host, 2.0, 0.0) for host in ("h0", "h1")]
         aimed.append(Fault(ended + 2.05, "estop", "h0", "h1", 3.0, 0.0))
-    return replace(story, cast=2, hosts=2, means={}, aimed=tuple(aimed), weather=25.0, seconds=25.0)
+    return replace(scenario, cast=2, hosts=2, means={}, aimed=tuple(aimed), weather=25.0, seconds=25.0)
 
 
 def a_delayed_order_ends_a_newer_stop(patch: Patch) -> None:

@@ -39,12 +39,12 @@ def acknowledgements_omit_the_fence(patch: Patch) -> None:
 
 
 def a_fence_is_sent_once_and_lost_with_its_link(patch: Patch) -> None:
-    told: set[tuple[int, str, int]] = set()
+    sent_fences: set[tuple[int, str, int]] = set()
 
     def fences(self: Quorum, host: str, message: Heartbeat) -> list[Any]:
-        news = (id(self), host, self.fences.digest)
-        known = message.fences == self.fences.digest or news in told
-        told.add(news)
+        key = (id(self), host, self.fences.digest)
+        known = message.fences == self.fences.digest or key in sent_fences
+        sent_fences.add(key)
         return [] if known else self.fences.all
 
     _answers(patch, fences)
@@ -52,9 +52,9 @@ def a_fence_is_sent_once_and_lost_with_its_link(patch: Patch) -> None:
 
 def interrupted(seed: int) -> Scenario:
     """The scenario of `parted` with that meeting; the link of the two hosts is slow at first, and breaks."""
-    story, met = parted(MEETING), 5.8 + random.Random(f"interrupted {seed}").uniform(0.0, 0.25)
+    scenario, met = parted(MEETING), 5.8 + random.Random(f"interrupted {seed}").uniform(0.0, 0.25)
     slow = Fault(met, "slow", "h2", "h0", 0.5, 1.0)
-    return replace(story, aimed=(slow, replace(slow, at=met + 0.5, kind="reset")))
+    return replace(scenario, aimed=(slow, replace(slow, at=met + 0.5, kind="reset")))
 
 
 def a_refusal_counts_before_the_copy_is_loaded(patch: Patch) -> None:
@@ -66,10 +66,10 @@ def _answers(patch: Patch, fences: Any) -> None:
     on_heartbeat = Quorum._on_heartbeat
 
     def answers(self: Quorum, host: str, message: Heartbeat, now: float) -> list[Any]:
-        told = fences(self, host, message)
+        fence_list = fences(self, host, message)
         effects = on_heartbeat(self, host, message, now)
         return [
-            type(e)(e.host, HeartbeatAck(message.incarnation, message.number, told))
+            type(e)(e.host, HeartbeatAck(message.incarnation, message.number, fence_list))
             if isinstance(getattr(e, "message", None), HeartbeatAck)
             else e
             for e in effects
@@ -91,10 +91,10 @@ def the_fence_is_not_on_disk(patch: Patch) -> None:
     put = WriteAheadQueue.put
 
     def forgets(self: WriteAheadQueue, effects: Any, now: float) -> list[Effect]:
-        kept = [
+        remaining = [
             e for e in effects if not (isinstance(e, PersistRecord) and isinstance(e.record, FenceRecord))
         ]
-        return put(self, kept, now)
+        return put(self, remaining, now)
 
     patch.setattr(WriteAheadQueue, "put", forgets)
 

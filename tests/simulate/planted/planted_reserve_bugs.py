@@ -83,7 +83,7 @@ def a_reservation_ends_before_the_fence_is_on_disk(patch: Patch) -> None:
 
 def fenced_keeper(seed: int) -> Scenario:
     """`keeper` in a small team with quick failovers, where hosts with slow disks lose power."""
-    dice, doubts = random.Random(f"fenced keeper {seed}"), doubted(seed)
+    rng, doubts = random.Random(f"fenced keeper {seed}"), doubted(seed)
     pauses = {"cut": (0.8, 3.0), "disk_slow": (1.0, 3.0), "power": (1.0, 4.0), "island": (1.0, 4.0)}
     return replace(
         keeper(seed),
@@ -95,7 +95,7 @@ def fenced_keeper(seed: int) -> Scenario:
         lease=doubts.lease,
         stays=doubts.stays,
         sync=0.002,
-        means={kind: dice.uniform(*bounds) for kind, bounds in pauses.items()},
+        means={kind: rng.uniform(*bounds) for kind, bounds in pauses.items()},
         weather=doubts.weather,
         seconds=doubts.seconds,
     )

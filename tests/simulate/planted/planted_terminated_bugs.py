@@ -69,18 +69,18 @@ def _bug(plant: Any, broken: str, seed: int, draws: DrawScenario = ending) -> Bu
 
 def calm(seed: int) -> Scenario:
     """A scenario of three hosts with one cut link as the only fault."""
-    story = replace(ending(seed), means={}, cast=3, hosts=3, walkers=3, witnesses=0)
-    return replace(story, aimed=story.aimed[:1])
+    scenario = replace(ending(seed), means={}, cast=3, hosts=3, walkers=3, witnesses=0)
+    return replace(scenario, aimed=scenario.aimed[:1])
 
 
 def slowly(seed: int) -> Scenario:
     """A scenario in which a host loses power while the end of a coordinator is written to disk."""
-    story = replace(ending(seed), calls=1 + seed % 2, stay=1.0, means={}, sync=0.002)
+    scenario = replace(ending(seed), calls=1 + seed % 2, stay=1.0, means={}, sync=0.002)
     slow = replace(
-        story.aimed[0], kind="disk_slow", at=story.calls - 0.3 * random.Random(seed).random(), lasts=6.0
+        scenario.aimed[0], kind="disk_slow", at=scenario.calls - 0.3 * random.Random(seed).random(), lasts=6.0
     )
     power = replace(slow, kind="power", at=slow.at + 2.0, lasts=1.0)
-    return replace(story, aimed=(slow, power))
+    return replace(scenario, aimed=(slow, power))
 
 
 TERMINATED_BUGS = [

@@ -28,5 +28,5 @@ def test_a_planted_bug_is_found(
         other = first_broken(range(bug.first, bug.first + bug.within), bug.draws)
         assert other is not None, f"no seed from {bug.first} to {bug.first + bug.within - 1}: {bug.broken}"
         found = other.breaches
-        record_property("note", f"{bug.name}: seed {other.story.seed} finds it, not {bug.seed}")
+        record_property("note", f"{bug.name}: seed {other.scenario.seed} finds it, not {bug.seed}")
     assert found[0].name in bug.breaches

@@ -135,7 +135,7 @@ class SequencingTeam:
         assert "patrol" not in {agent for agent, _ in copies(self.fleet)}, self.last_lines()
 
 
-def run_story(folder: Path, seed: int, at_most: float = 600.0) -> None:
+def run_scenario(folder: Path, seed: int, at_most: float = 600.0) -> None:
     """A team whose hosts crash and return, and whose links break; without faults it then finishes."""
     home = HOSTS[seed % 3]
     team = SequencingTeam(folder, seed, home, rounds=4)

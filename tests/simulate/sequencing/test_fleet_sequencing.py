@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from sequencing_team import HOSTS, SequencingTeam, run_story
+from sequencing_team import HOSTS, SequencingTeam, run_scenario
 
 
 @pytest.mark.parametrize("keeps", [True, False])
@@ -22,4 +22,4 @@ def test_without_faults_each_start_is_made_once(tmp_path: Path, home: str, keeps
 @pytest.mark.few(6)
 @pytest.mark.parametrize("seed", range(40))
 def test_starts_are_made_once_despite_crashes_and_broken_links(tmp_path: Path, seed: int) -> None:
-    run_story(tmp_path, seed)
+    run_scenario(tmp_path, seed)

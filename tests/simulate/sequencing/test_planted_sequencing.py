@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from planted_sequencing_bugs import SEQUENCING_BUGS
-from sequencing_team import run_story
+from sequencing_team import run_scenario
 
 #: Seeds that are searched.
 SEEDS = range(60)
@@ -21,7 +21,7 @@ def test_a_planted_sequencing_bug_is_found(
     bug(monkeypatch)
     for seed in SEEDS:
         try:
-            run_story(tmp_path, seed, at_most=300.0)
+            run_scenario(tmp_path, seed, at_most=300.0)
         except AssertionError:
             return
-    pytest.fail(f"no story from 0 to {SEEDS[-1]}")
+    pytest.fail(f"no scenario from 0 to {SEEDS[-1]}")

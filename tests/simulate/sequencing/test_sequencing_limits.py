@@ -148,9 +148,9 @@ def test_start_and_stop_need_separate_rights(team) -> None:
 
 
 def test_an_access_file_rejects_an_unknown_action_on_a_coordinator(team) -> None:
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         team("", "coordinators:\n  boss:\n    patrol: [begin]\n")
-    assert [found.code for found in caught.value.diagnostics] == ["Y113"]
+    assert [found.code for found in error.value.diagnostics] == ["Y113"]
 
 
 def test_a_start_that_was_made_returns_after_a_long_restart_of_the_home(team) -> None:

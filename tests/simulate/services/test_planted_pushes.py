@@ -21,5 +21,5 @@ def test_a_planted_push_bug_is_found(
         other = first_breach(range(bug.within))
         assert other is not None, f"no seed from 0 to {bug.within - 1}: {bug.broken}"
         found = other.breaches
-        record_property("note", f"{bug.name}: seed {other.story.seed} finds it, not {bug.seed}")
+        record_property("note", f"{bug.name}: seed {other.scenario.seed} finds it, not {bug.seed}")
     assert found[0].name in bug.breaches

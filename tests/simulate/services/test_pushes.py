@@ -11,8 +11,13 @@ from pathlib import Path
 import pytest
 
 from lfield.service.service import Service
-from simulation_testing.services.push_runner import command, run_push_seed, shrink_push_story
-from simulation_testing.services.push_story import KINDS, PushStory, draw_push_story, run_push_story
+from simulation_testing.services.push_runner import command, run_push_seed, shrink_push_scenario
+from simulation_testing.services.push_scenario import (
+    KINDS,
+    PushScenario,
+    draw_push_scenario,
+    run_push_scenario,
+)
 
 #: Seeds of a case.
 CASE = 6
@@ -24,19 +29,19 @@ def test_pushes_keep_every_promise(first: int) -> None:
     counts = Counter[str]()
     for seed in range(first, first + CASE):
         verdict = run_push_seed(seed)
-        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.scenario)}"
         counts.update(verdict.counts)
     assert min(counts["yes"], counts["no"], counts["activated"], counts["acts"]) > 3
 
 
 def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
-    stories = [draw_push_story(seed) for seed in range(60)]
-    assert {fault.kind for story in stories for fault in story.faults} == KINDS.keys()
-    steps = [step for story in stories for own in story.steps for step in own]
+    scenarios = [draw_push_scenario(seed) for seed in range(60)]
+    assert {fault.kind for scenario in scenarios for fault in scenario.faults} == KINDS.keys()
+    steps = [step for scenario in scenarios for own in scenario.steps for step in own]
     assert {step.action for step in steps} == {"push", "push without", "start", "stop", "discard"}
     assert any(step.dies_after for step in steps)
-    assert {story.robots for story in stories} == {2, 3, 4}
-    assert {len(story.steps) for story in stories} == {1, 2, 3}
+    assert {scenario.robots for scenario in scenarios} == {2, 3, 4}
+    assert {len(scenario.steps) for scenario in scenarios} == {1, 2, 3}
 
 
 @pytest.mark.few(0)
@@ -65,7 +70,7 @@ def test_a_push_run_does_not_depend_on_the_process() -> None:
         for salt in ("1", "2")
     ]
     assert runs[0] == runs[1]
-    assert run_push_story(draw_push_story(5)).digest in runs[0]
+    assert run_push_scenario(draw_push_scenario(5)).digest in runs[0]
 
 
 @pytest.mark.few(0)
@@ -74,10 +79,10 @@ def test_a_push_scenario_with_a_breach_is_shrunk(monkeypatch: pytest.MonkeyPatch
 
     a_held_host_is_not_released(monkeypatch)
     found = next(v for v in map(run_push_seed, range(30)) if v.breaches)
-    small = shrink_push_story(found, most=25)
+    small = shrink_push_scenario(found, most=25)
     assert small.breaches[0].name == found.breaches[0].name
 
-    def length(story: PushStory) -> int:
-        return len(story.faults) + sum(map(len, story.steps))
+    def length(scenario: PushScenario) -> int:
+        return len(scenario.faults) + sum(map(len, scenario.steps))
 
-    assert length(small.story) < length(found.story)
+    assert length(small.scenario) < length(found.scenario)

@@ -27,7 +27,7 @@ from simulation_testing.scenarios.scenario_run import run_scenario
 from simulation_testing.scenarios.scenario_shrinker import COMMAND
 from simulation_testing.seed_runner import IN_A_LINE, lines_of, run_seeds
 from simulation_testing.services.push_runner import run_push_seeds
-from simulation_testing.services.push_story import draw_push_story, run_push_story
+from simulation_testing.services.push_scenario import draw_push_scenario, run_push_scenario
 
 #: The kinds of faults.
 FAULTS = [field.name for field in fields(FaultRates)]
@@ -51,7 +51,7 @@ def main() -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
     parser.add_argument("--quiet", action="store_true", help="print the last line only")
-    many = parser.add_argument_group("stories")
+    many = parser.add_argument_group("scenarios")
     many.add_argument("--seeds", type=_count, metavar="N", help="run and check the scenarios of N seeds")
     many.add_argument("--first", type=int, default=0, metavar="SEED", help="the first seed")
     many.add_argument(
@@ -92,7 +92,7 @@ def _pushes(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
         return 1 if run_push_seeds(seeds, args.processes) else 0
     if args.story is None:
         parser.error("give --seeds N or --story SEED with --pushes")
-    verdict = run_push_story(draw_push_story(args.story), keep_log=True)
+    verdict = run_push_scenario(draw_push_scenario(args.story), keep_log=True)
     if not args.quiet:
         _print(verdict.log, ())
     for breach in verdict.breaches:
@@ -102,10 +102,12 @@ def _pushes(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
 
 
 def _run_scenarios(args: argparse.Namespace) -> int:
-    given = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
+    options = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
     draws = KINDS[args.kind] if args.kind else draw_scenario
-    story: Scenario = replace(draws(args.story), **{name: v for name, v in given.items() if v is not None})
-    verdict = run_scenario(story, keep_log=True)
+    scenario: Scenario = replace(
+        draws(args.story), **{name: v for name, v in options.items() if v is not None}
+    )
+    verdict = run_scenario(scenario, keep_log=True)
     if not args.quiet:
         _print(verdict.log, verdict.faults)
     for breach in verdict.breaches:
@@ -134,9 +136,9 @@ def _run_mission(args: argparse.Namespace) -> int:
 
 
 def _print(log: Iterable[tuple[float, str, str]], faults: Iterable[tuple[float, str]]) -> None:
-    weather = [(at, "weather", what) for at, what in faults]
-    for at, who, text in sorted([*log, *weather], key=lambda line: line[0]):
-        print(f"{at:12.6f} {who} | {text.rstrip()}")
+    fault_log = [(at, "weather", what) for at, what in faults]
+    for at, host, text in sorted([*log, *fault_log], key=lambda line: line[0]):
+        print(f"{at:12.6f} {host} | {text.rstrip()}")
 
 
 def _count(text: str) -> int:

@@ -251,8 +251,8 @@ class FaultInjector:
 
     def _gone(self, fault: Fault) -> None:
         """Lose a host permanently, if the others can continue without it."""
-        members, gone = self.fleet.mission.recovery.members, self.fleet.lost_hosts
-        if len(gone) < (len(members) - 1) // 2 and fault.one not in gone:
+        members, lost = self.fleet.mission.recovery.members, self.fleet.lost_hosts
+        if len(lost) < (len(members) - 1) // 2 and fault.one not in lost:
             self._note(f"{fault.one} is permanently lost")
             self.fleet.lose(fault.one)
 

@@ -50,8 +50,8 @@ class SeedTally:
         self.calls += verdict.calls
         self.restarts += verdict.restarts
         self.recovered += verdict.recovered
-        self.digests[verdict.story.seed] = verdict.digest
-        self.outcomes[verdict.story.seed] = verdict.outcome
+        self.digests[verdict.scenario.seed] = verdict.digest
+        self.outcomes[verdict.scenario.seed] = verdict.outcome
         if verdict.breaches:
             self.broken.append(verdict)
 
@@ -109,7 +109,7 @@ def run_seeds(seeds: range, processes: int = 0, console: Console | None = None) 
     """Run the scenarios of some seeds, and print each breach; `processes` 0: one for each core."""
     console = console or Console()
     processes = processes or len(os.sched_getaffinity(0))
-    tally, began = SeedTally(), time.monotonic()
+    tally, started = SeedTally(), time.monotonic()
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     with (
         Progress(*columns, console=console, transient=True) as progress,
@@ -121,11 +121,11 @@ def run_seeds(seeds: range, processes: int = 0, console: Console | None = None) 
             progress.update(task, advance=1, description=f"{len(tally.broken)} breaches")
             if verdict.breaches:
                 _write_verdict(progress.console.print, verdict)
-    for verdict in sorted(tally.broken, key=lambda verdict: verdict.story.seed)[:MAX_SHRUNK]:
+    for verdict in sorted(tally.broken, key=lambda verdict: verdict.scenario.seed)[:MAX_SHRUNK]:
         console.print("shrunk:", highlight=False)
         _write_verdict(console.print, shrink_scenario(verdict))
-    took = time.monotonic() - began
-    console.print(summary(tally, took), highlight=False, soft_wrap=True)
+    elapsed = time.monotonic() - started
+    console.print(summary(tally, elapsed), highlight=False, soft_wrap=True)
     return tally
 
 
@@ -144,9 +144,12 @@ def summary(tally: SeedTally, took: float) -> str:
 
 def _write_verdict(write: Callable[..., None], verdict: RunVerdict) -> None:
     """Print the breach, the size of the scenario, and the command that repeats it."""
-    story = verdict.story
+    scenario = verdict.scenario
     write(f"{verdict.breaches[0]}", markup=False, highlight=False, soft_wrap=True)
-    size = (
-        f"{story.hosts} hosts, {story.walkers} walkers, {len(verdict.faults)} faults, {verdict.seconds:.1f} s"
+    size = f"{scenario.hosts} hosts, {scenario.walkers} walkers, {len(verdict.faults)} faults"
+    write(
+        f"    {size}, {verdict.seconds:.1f} s: {command(scenario)}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
     )
-    write(f"    {size}: {command(story)}", markup=False, highlight=False, soft_wrap=True)

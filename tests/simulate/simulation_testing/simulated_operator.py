@@ -178,10 +178,10 @@ class SimulatedOperator:
     async def _recover(self, agent: str, hosts: _Hosts) -> bool:
         """Recover like `lfield recover`."""
         try:
-            belief = best_candidate(agent, hosts, self._names)
+            estimate = best_candidate(agent, hosts, self._names)
         except (CoordinatorAlive, UsageError):
             return False
-        answer = await self._ask(belief.host_ref, recover(belief.request))
+        answer = await self._ask(estimate.host_ref, recover(estimate.request))
         done = not isinstance(answer, LfieldError) and bool(answer.generation)
         self.carried_out["recover"] += done
         return done
@@ -192,10 +192,10 @@ class SimulatedOperator:
             require_in_doubt(agent, hosts, self._names)
         except (CoordinatorAlive, UsageError):
             return False
-        told = await ask_all(self._transport, self._places, forget(agent))
+        answers = await ask_all(self._transport, self._places, forget(agent))
         starts = {
             place.host: max(answer.starts)
-            for place, answer in told.items()
+            for place, answer in answers.items()
             if not isinstance(answer, LfieldError) and answer.starts
         }
         if starts:

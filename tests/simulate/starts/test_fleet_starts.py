@@ -106,8 +106,8 @@ def test_a_new_start_waits_for_every_host_with_resources_and_for_no_other(
 
 
 def test_without_a_record_a_witness_must_answer_unless_it_is_left_out(tmp_path: Path) -> None:
-    made = mission(tmp_path, "dora")
-    fleet = Fleet(made, 1, options=FleetOptions(keeps=False))
+    loaded = mission(tmp_path, "dora")
+    fleet = Fleet(loaded, 1, options=FleetOptions(keeps=False))
     fleet.power_off("dora")
     for name in ("alpha", "bravo", "carol"):
         fleet.crash(name)
@@ -183,17 +183,17 @@ def other_bundle(fleet: Fleet, host: str, made: Mission) -> None:
 
 
 def test_a_host_with_another_bundle_prevents_the_start_and_both_report_it(tmp_path: Path) -> None:
-    ours, theirs = b"\x11" * 32, b"\x22" * 32
-    made = replace(mission(tmp_path), release=BundleId(ours))
-    fleet = alone(made, "carol")
+    own_id, other_id = b"\x11" * 32, b"\x22" * 32
+    changed = replace(mission(tmp_path), release=BundleId(own_id))
+    fleet = alone(changed, "carol")
     fleet.boot("carol")
-    other_bundle(fleet, "carol", replace(made, release=BundleId(theirs)))
+    other_bundle(fleet, "carol", replace(changed, release=BundleId(other_id)))
     fleet.run(15.0)
     assert not started(fleet)
-    words = "alpha runs bundle 1111111111111111 and carol runs bundle 2222222222222222"
+    text = "alpha runs bundle 1111111111111111 and carol runs bundle 2222222222222222"
     (refused,) = (one for one in status(fleet, "alpha").refused if one.host == "carol")
-    assert (refused.bundle, words in refused.reason or "carol runs" in refused.reason) == (theirs, True)
-    assert {one.bundle for one in status(fleet, "carol").refused} == {ours}
+    assert (refused.bundle, text in refused.reason or "carol runs" in refused.reason) == (other_id, True)
+    assert {one.bundle for one in status(fleet, "carol").refused} == {own_id}
     assert {one.host for one in status(fleet, "carol").refused} == {"alpha", "bravo", "dora"}
     assert count_logged(fleet, "boss not started: waiting for carol (refused: ", "alpha")
     assert count_logged(fleet, "runs bundle 2222222222222222", "alpha")
@@ -279,8 +279,8 @@ def test_an_emergency_stop_during_the_wait_holds_the_start_until_a_command(tmp_p
 def test_in_an_overlay_the_start_needs_all_hosts_not_only_neighbours(tmp_path: Path) -> None:
     names = [f"h{number:02}" for number in range(14)]
     team = "//Boss:boss@h00?{0}\n" + "".join(f"//Post:p{name}@{name}\n" for name in names)
-    made = mission(tmp_path, team=team)
-    fleet = Fleet(made, 1)
+    loaded = mission(tmp_path, team=team)
+    fleet = Fleet(loaded, 1)
     near = fleet.runs["h00"].core.membership.neighbours
     far = next(name for name in names[1:] if name not in near)
     fleet.power_off(far)
@@ -307,8 +307,8 @@ def test_until_done_waits_as_long_as_the_start_does(tmp_path: Path) -> None:
 def test_a_start_that_waits_for_hosts_and_a_lease_uses_no_processor_time(tmp_path: Path) -> None:
     """Due log lines are not evaluated repeatedly while the start waits for something else."""
     text = PROGRAM.replace('print("begins");', 'heartbeatInterval(3.0); print("begins");')
-    made = mission(tmp_path, text=text)
-    fleet = Fleet(made, 1)
+    loaded = mission(tmp_path, text=text)
+    fleet = Fleet(loaded, 1)
     for name in ("bravo", "carol", "dora"):
         fleet.power_off(name)
     fleet.run(5.0)

@@ -119,21 +119,21 @@ def ends(
     if transit:
         slow(transit)(fleet)
     fleet.run(1.0)
-    while not (asked := [at for at, _, text in fleet.log if "boss: asks" in text]):
+    while not (asked_at := [at for at, _, text in fleet.log if "boss: asks" in text]):
         fleet.run(0.01)
         # Events before the block happen when the coordinator has just been started.
         for at in [at for at in script if at < 0]:
             script.pop(at)(fleet)
     try:
-        while fleet.now < asked[0] + within:
-            for at in [at for at in script if fleet.now - asked[0] >= at]:
+        while fleet.now < asked_at[0] + within:
+            for at in [at for at in script if fleet.now - asked_at[0] >= at]:
                 script.pop(at)(fleet)
             fleet.run(0.02)
             assert all(len(hosts) == 1 for hosts in copies(fleet).values()), "two copies run"
             for at, _, text in fleet.log:
                 if "boss: boss: " in text:
                     assert sum("sets 1" in line for _, _, line in fleet.log) <= 1
-                    return at - asked[0], text.split("boss: boss: ")[1].strip()
+                    return at - asked_at[0], text.split("boss: boss: ")[1].strip()
     finally:
         fleet.close()
     return within, "it has not ended"
@@ -262,8 +262,8 @@ def test_a_finally_block_is_not_interrupted_and_its_delay_is_reported(tmp_path: 
     body = "within (4.0) { try { sleep(3.0); } finally { sleep(3.0); } sleep(60.0); }"
     seconds, how = ends(tmp_path, body, {})
     assert seconds == pytest.approx(6.0, abs=0.1)
-    why = "since a running finally is not interrupted"
-    assert re.match(rf"time limit: the time is over, (1\.9|2\.[01]) s late {why}", how), how
+    reason = "since a running finally is not interrupted"
+    assert re.match(rf"time limit: the time is over, (1\.9|2\.[01]) s late {reason}", how), how
 
 
 def paused(host: str, *, on: bool) -> Event:
@@ -322,8 +322,8 @@ def test_a_hop_that_would_arrive_too_late_is_not_begun(tmp_path: Path, seconds: 
     """The coordinator stays, and the block ends in time; the exception names the reason. A query comes
     first."""
     body = f'within ({seconds}) {{ sleep({max(0.0, seconds - 0.3)}); findPost("one").work(1, 20.0); }}'
-    took, how = ends(tmp_path, body, {}, transit=0.5)
-    assert took == pytest.approx(seconds, abs=0.05), how
+    elapsed, how = ends(tmp_path, body, {}, transit=0.5)
+    assert elapsed == pytest.approx(seconds, abs=0.05), how
     assert re.search(
         r"the time is over before one\.work\(\) could begin: the transfer to bravo takes [01]\.[0-9] s", how
     ), how

@@ -89,8 +89,8 @@ def test_a_vehicle_without_a_report_prevents_the_start_until_its_host_is_left_ou
     start = status(fleet, "alpha").start
     assert start is not None
     assert (start.hosts, start.held) == (["bravo"], "")
-    why = "boss not started: waiting for bravo (two.fc has not reported whether it is on the ground)"
-    assert count_logged(fleet, why, "alpha") >= 1
+    reason = "boss not started: waiting for bravo (two.fc has not reported whether it is on the ground)"
+    assert count_logged(fleet, reason, "alpha") >= 1
     event(fleet, StartOrdered(["bravo"]))
     fleet.run(2.0)
     assert started(fleet)

@@ -18,28 +18,30 @@ def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Pat
     fleet = fleet_of(tmp_path, 8.0)
     alpha, beta = watch(fleet, "alpha"), watch(fleet, "beta")
     fleet.run(30.0)
-    came = {(e.what.agent, e.what.generation, e.what.sequence): e for e in beta.of(events.MigrationArrived)}  # type: ignore[union-attr]
+    arrived = {
+        (e.what.agent, e.what.generation, e.what.sequence): e for e in beta.of(events.MigrationArrived)
+    }  # type: ignore[union-attr]
     left = alpha.of(events.MigrationStarted)
     assert len(left) > 3
     for event in left[:-1]:
         what = event.what
         assert isinstance(what, events.MigrationStarted)
         assert (what.to, what.resource, what.portal) == ("beta", "q", "climb")
-        there = came[what.agent, what.generation, what.sequence].what
+        there = arrived[what.agent, what.generation, what.sequence].what
         assert isinstance(there, events.MigrationArrived)
         assert (there.of, there.size) == ("alpha", what.size)
         assert what.size > 100
     # The causes of the departure: it arrived, its portal began, commanded the copter, and ended.
     last = chain(alpha, left[-2])
     assert last[:6] == ["printed", "ended", "answered", "asked", "began", "came"]
-    hopped = alpha.of(events.MigrationConfirmed)
+    migrated = alpha.of(events.MigrationConfirmed)
     known = alpha.by_number()
     assert all(
         isinstance(known[event.cause].what, events.MigrationStarted)
-        for event in hopped
+        for event in migrated
         if event.cause in known
     )
-    assert all(0.0 < event.what.seconds < 0.5 for event in hopped if event.cause in known)  # type: ignore[union-attr]
+    assert all(0.0 < event.what.seconds < 0.5 for event in migrated if event.cause in known)  # type: ignore[union-attr]
 
 
 def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) -> None:
@@ -146,9 +148,9 @@ def test_positions_of_agents_are_sent_at_the_requested_rate(tmp_path: Path) -> N
     standing = [event.what for event in often.of(events.AgentActivity)]
     walks = [what for what in standing if what.agent == "walker"]  # type: ignore[union-attr]
     lines = PROGRAM.splitlines()
-    shown = {(lines[w.line - 1].strip(), w.waits) for w in walks if w.line}  # type: ignore[union-attr]
-    assert ("posts[n % 2].climb(i2f(n + 2));", "p.climb") in shown
-    assert ("sleep(0.5);", "") in shown
+    output = {(lines[w.line - 1].strip(), w.waits) for w in walks if w.line}  # type: ignore[union-attr]
+    assert ("posts[n % 2].climb(i2f(n + 2));", "p.climb") in output
+    assert ("sleep(0.5);", "") in output
     serving = {w.waits for w in standing if w.agent == "p"}  # type: ignore[union-attr]
     assert "p.fc.takeoff" in serving
     measured = often.of(events.DeviceTelemetry)
@@ -258,9 +260,9 @@ def test_portal_calls_are_not_reported_without_a_watcher(tmp_path: Path) -> None
     watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(5.0)
     assert core.machine.hooks.observer is not None
-    began = watcher.of(events.PortalCallStarted)
-    assert began
-    assert min(event.up for event in began) > 9.0
+    started = watcher.of(events.PortalCallStarted)
+    assert started
+    assert min(event.up for event in started) > 9.0
     assert watcher.of(events.MigrationStarted)[0].up < 9.0
 
 

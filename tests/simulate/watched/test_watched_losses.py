@@ -121,17 +121,17 @@ def test_a_coordinator_that_cannot_leave_stays_with_an_exception(tmp_path: Path)
 
 @pytest.mark.few(0)
 def test_an_abandoned_device_is_made_safe_with_its_cause(tmp_path: Path) -> None:
-    made = mission(tmp_path)
+    loaded = mission(tmp_path)
     bound = {
         agent: {name: structs.replace(d, without_policy=OrphanPolicy(10.0, "hold")) for name, d in of.items()}
-        for agent, of in made.bindings.devices.items()
+        for agent, of in loaded.bindings.devices.items()
     }
-    fleet = Fleet(made.with_bindings(structs.replace(made.bindings, devices=bound)), 1)
+    fleet = Fleet(loaded.with_bindings(structs.replace(loaded.bindings, devices=bound)), 1)
     fleet.run(12.0)
-    gone = holder(fleet)
-    watchers = {name: watch(fleet, name) for name in fleet.runs if name != gone}
+    lost = holder(fleet)
+    watchers = {name: watch(fleet, name) for name in fleet.runs if name != lost}
     fleet.run(0.1)
-    fleet.lose(gone)
+    fleet.lose(lost)
     fleet.run(60.0)
     latched = [
         (watcher, event) for watcher in watchers.values() for event in watcher.of(events.DeviceLatched)
@@ -159,7 +159,7 @@ def test_changed_offers_are_reported_with_their_cause(tmp_path: Path, asks_for_c
     fleet.run(3.0)
     snapshot = watcher.batches[0].snapshot
     assert snapshot is not None
-    assert [(told.agent, told.refusal) for told in snapshot.directory] == [("one", ""), ("two", "")]
+    assert [(entry.agent, entry.refusal) for entry in snapshot.directory] == [("one", ""), ("two", "")]
     assert not watcher.of(events.OfferWithdrawn) + watcher.of(events.OfferPublished)
     watcher.order(EmergencyStop(token_bytes(16), "why"))
     fleet.crash("bravo")
@@ -186,8 +186,8 @@ def test_a_coordinator_continues_from_the_journal_of_its_host(tmp_path: Path) ->
     watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(8.0)
     assert watcher.states[0].number == 1
-    (kept,) = [e for e in watcher.of(events.AgentStarted) if e.what.agent == "walker"]  # type: ignore[union-attr]
-    assert kept.what == events.AgentStarted("walker", 1, kept=True)
+    (start,) = [e for e in watcher.of(events.AgentStarted) if e.what.agent == "walker"]  # type: ignore[union-attr]
+    assert start.what == events.AgentStarted("walker", 1, kept=True)
 
 
 def reads_all(watcher: EventWatcher) -> bool:

@@ -33,10 +33,10 @@ from lfield.testing.mission.resource_doubles import ResourceDoubles
 )
 def test_a_returned_value_of_another_type_is_reported(tmp_path: Path, returned: object, message: str) -> None:
     team = team_of(tmp_path, "pump.flow(1, 2.0);", flow=lambda litres, seconds=0.0: returned)
-    with pytest.raises(DoubleError) as caught:
+    with pytest.raises(DoubleError) as error:
         team.until("the end")
-    assert str(caught.value).startswith("the portal pump.flow(int, real) returns int")
-    assert message in str(caught.value)
+    assert str(error.value).startswith("the portal pump.flow(int, real) returns int")
+    assert message in str(error.value)
     assert not team.said("thrown")
 
 
@@ -70,19 +70,19 @@ def test_a_field_of_another_type_is_reported(
 ) -> None:
     answer = {name: lambda *given: returned for name in ("stop", "split", "go")}
     team = team_of(tmp_path, body, **answer)
-    with pytest.raises(DoubleError) as caught:
+    with pytest.raises(DoubleError) as error:
         team.until("the end")
-    assert message in str(caught.value)
+    assert message in str(error.value)
 
 
 def test_a_missing_portal_of_a_double_is_reported_at_its_call(tmp_path: Path) -> None:
     team = team_of(tmp_path, "pump.flow(1); pump.stop();", flow=lambda litres, seconds=0.0: 1)
-    with pytest.raises(DoubleError) as caught:
+    with pytest.raises(DoubleError) as error:
         team.until("the end")
-    assert str(caught.value) == (
+    assert str(error.value) == (
         "the mission calls pump.stop(), but the double of pump has no method stop: add one"
     )
-    assert isinstance(caught.value, LfieldError)
+    assert isinstance(error.value, LfieldError)
 
 
 def broken(litres: int, seconds: float = 0.0) -> int:
@@ -95,9 +95,9 @@ def test_an_exception_of_the_double_is_raised_in_the_test(
     tmp_path: Path, litres: int, kind: type[Exception]
 ) -> None:
     team = team_of(tmp_path, f"pump.flow({litres});", flow=broken)
-    with pytest.raises(kind) as caught:
+    with pytest.raises(kind) as error:
         team.until("the end")
-    assert "broken" in [frame.name for frame in traceback.extract_tb(caught.value.__traceback__)]
+    assert "broken" in [frame.name for frame in traceback.extract_tb(error.value.__traceback__)]
     team.run(5.0)
     assert not team.said("thrown")
     assert not team.said("the end")
@@ -108,9 +108,9 @@ def test_an_agent_that_waits_for_a_double_is_named(tmp_path: Path) -> None:
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
     double = SimpleNamespace(flow=lambda litres, seconds=0.0: After(1e6, 1))
     made = MissionTeam(tmp_path / "mission.dL", doubles={"pump": double})
-    with closing(made) as team, pytest.raises(Stuck) as caught:
+    with closing(made) as team, pytest.raises(Stuck) as error:
         team.run(until_done=True, at_most=5.0)
-    assert "pump on bravo: its double has not returned yet at Pump.flow (mission.L:" in str(caught.value)
+    assert "pump on bravo: its double has not returned yet at Pump.flow (mission.L:" in str(error.value)
 
 
 def test_pytest_fail_in_a_double_fails_the_test(tmp_path: Path) -> None:
@@ -161,9 +161,9 @@ def test_an_invalid_double_is_refused(tmp_path: Path, doubles: Mapping[str, obje
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
     mission = load_mission(tmp_path / "mission.dL", simulate=True)
-    with pytest.raises(DoubleError) as caught:
+    with pytest.raises(DoubleError) as error:
         ResourceDoubles(mission, doubles)
-    assert str(caught.value) == message
+    assert str(error.value) == message
 
 
 def test_an_unknown_l_exception_and_an_invalid_delay_are_refused() -> None:

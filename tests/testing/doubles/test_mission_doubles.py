@@ -33,10 +33,10 @@ def test_a_double_answers_without_init_and_devices(tmp_path: Path) -> None:
 
 
 def test_values_are_converted_in_both_directions(tmp_path: Path) -> None:
-    seen: list[object] = []
+    calls: list[object] = []
 
     def go(there: LObject, grid: list[object]) -> LObject:
-        seen.extend((there, grid))
+        calls.extend((there, grid))
         circle = LObject("Place", x=2, more=(1, 2.5), next=None)
         return LObject("Place", x=there.x, more=[], next=LObject("Place", x=1.0, more=None, next=circle))
 
@@ -59,7 +59,7 @@ def test_values_are_converted_in_both_directions(tmp_path: Path) -> None:
         **{"is": lambda on: not on},
     )
     team.until("the end")
-    assert seen == [LObject("Place", x=0.25, more=None, next=None), [[1, 2]]]
+    assert calls == [LObject("Place", x=0.25, more=None, next=None), [[1, 2]]]
     assert team.said("x 3.25 2.5")
     assert team.said("<a<é>>")
     assert team.said(f"parts {math.pi}")
@@ -211,21 +211,21 @@ def test_a_host_that_dies_loses_the_answer(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("body", ["pump.flow(1); pump.flow(2);", "together { pump.flow(1); } pump.flow(2);"])
 def test_a_double_that_ends_its_own_host_has_not_answered(tmp_path: Path, body: str) -> None:
-    asked: list[int] = []
+    requests: list[int] = []
 
     def flow(litres: int, seconds: float = 0.0) -> int:
-        asked.append(litres)
+        requests.append(litres)
         team.crash("bravo")
         return litres
 
     team = team_of(tmp_path, body, flow=flow)
     team.run(3.0)
-    assert asked == [1]
+    assert requests == [1]
     assert team.call("flow").ended is None
     team.boot("bravo")
     team.until("the end")
     assert team.said("thrown: bravo restarted")
-    assert asked == [1]
+    assert requests == [1]
 
 
 def test_the_same_seed_is_the_same_run(tmp_path: Path) -> None:
@@ -286,16 +286,16 @@ def test_the_driver_of_a_doubled_resource_need_not_be_installed(tmp_path: Path) 
     assert team.mission.bindings.devices.get("welder", {}) == {}
     assert team.mission.bindings.devices["pump"].keys() == {"fc"}
     # The driver of a running resource must be installed.
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(ProgramError) as error:
         SmallTeam(tmp_path, NO_DRIVER, f"{hosts} //Welder:other@alpha", {"welder": Welder()})
-    assert "Xyzzy" in caught.value.diagnostics[0].render()
+    assert "Xyzzy" in error.value.diagnostics[0].render()
 
 
 def test_a_doubled_resource_needs_no_binding(tmp_path: Path) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
-    with pytest.raises(BindingError) as caught:
+    with pytest.raises(BindingError) as error:
         load_mission(tmp_path / "mission.dL", doubled={"pump"})
-    assert [problem.partition(" (")[0] for problem in caught.value.problems] == ["other.fc"]
+    assert [problem.partition(" (")[0] for problem in error.value.problems] == ["other.fc"]
     mission = load_mission(tmp_path / "mission.dL", doubled={"pump", "other"})
     assert mission.bindings.all == []

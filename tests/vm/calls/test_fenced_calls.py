@@ -110,22 +110,22 @@ def test_an_arrived_coordinator_requests_permission_with_a_stored_block() -> Non
     host.run()
     ((agent, _),) = host.gate.departures
     image = bytes(host.machine.pack(agent))
-    gate, clock, dice = Gate(), ManualClock(), random.Random(1)
+    gate, clock, rng = Gate(), ManualClock(), random.Random(1)
     machine = Machine(
-        host.machine.program, MachineTeam([STORE, CLERK, FAR], 1, 2, {"clerk"}), gate, clock, dice
+        host.machine.program, MachineTeam([STORE, CLERK, FAR], 1, 2, {"clerk"}), gate, clock, rng
     )
     machine.start(FAR, LIMITS, 1)
     gate.open = False
-    came = machine.inject(CLERK, image, LIMITS)
+    arrived = machine.inject(CLERK, image, LIMITS)
     run_until_idle(machine, clock)
     assert gate.asked == []
     for count in (1, 2, 3):
-        machine.unfreeze(came)
+        machine.unfreeze(arrived)
         run_until_idle(machine, clock)
         assert gate.asked == [(True, True)] * count
-        assert came.frozen
+        assert arrived.frozen
     gate.open = True
-    machine.unfreeze(came)
+    machine.unfreeze(arrived)
     run_until_idle(machine, clock)
     assert machine.agents["far"].served == 1
     assert not machine.agents.get("clerk")

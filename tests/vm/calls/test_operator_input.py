@@ -114,16 +114,16 @@ def test_a_read_in_init_is_a_pause_and_ends_the_line_of_its_question() -> None:
     assert desk.run() == ["one", "a1: two"]
 
 
-STORIES = [story for name, story in globals().items() if name.startswith("test_")]
+SCENARIOS = [scenario for name, scenario in globals().items() if name.startswith("test_")]
 
 
-def all_stories() -> None:
-    for story in STORIES:
-        story()
+def all_scenarios() -> None:
+    for scenario in SCENARIOS:
+        scenario()
 
 
 @pytest.mark.parametrize("bug", bugs.READ_BUGS)
 def test_a_planted_read_bug_is_found(bug: bugs.ReadBug, monkeypatch: pytest.MonkeyPatch) -> None:
     bug(monkeypatch)
     with pytest.raises(AssertionError):
-        all_stories()
+        all_scenarios()

@@ -190,12 +190,12 @@ def test_a_host_is_asked_before_each_further_acting_call() -> None:
 def test_a_call_waits_until_its_block_is_stored_and_begins_once() -> None:
     hosts = joined("print(near.add(5)); print(near.add(5));", volatile=False)
     (disk, machine) = hosts.places[0], hosts.machines[0]
-    for asked in (1, 2):
+    for request_count in (1, 2):
         hosts.still()
         (agent, _) = disk.kept[-1]
         assert agent.frozen
-        assert disk.asked == asked
-        assert len(disk.output) == asked - 1
+        assert disk.asked == request_count
+        assert len(disk.output) == request_count - 1
         machine.unfreeze(agent)
     hosts.still()
     assert disk.output == ["5", "10"]

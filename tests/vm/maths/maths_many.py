@@ -20,13 +20,13 @@ def main(count: int, seed: int) -> int:
     """Compare that many arguments for each function; print a line for each, and the differences."""
     lowered, wrong = Lowered(), 0
     for name in MATHS:
-        began, found = time.monotonic(), []
+        started, found = time.monotonic(), []
         for number in range(0, count, BATCH):
             values = arguments(name, min(BATCH, count - number), seed + number)
             found += differing(lowered, name, values)
         wrong += len(found)
         print(
-            f"{name:10} {count:9} arguments, {len(found)} differ, {time.monotonic() - began:.1f} s",
+            f"{name:10} {count:9} arguments, {len(found)} differ, {time.monotonic() - started:.1f} s",
             flush=True,
         )
         print("\n".join(found[:5]), end="\n" if found else "")

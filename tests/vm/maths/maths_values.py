@@ -50,13 +50,13 @@ def any_real(rng: random.Random) -> float:
 
 def arguments(name: str, count: int, seed: int) -> list[tuple[float, ...]]:
     """`count` tuples of random arguments for a function; in some, two reals are close to each other."""
-    dice = random.Random(f"{name} {seed}")
-    found = [tuple(any_real(dice) for _ in range(arity(name))) for _ in range(count)]
+    rng = random.Random(f"{name} {seed}")
+    found = [tuple(any_real(rng) for _ in range(arity(name))) for _ in range(count)]
     if arity(name) == 1:
         return found
     if name == "pow":
-        return [_bounded(x, y, dice) if dice.random() < 0.5 else (x, y) for x, y in found]
-    return [(y, y * dice.uniform(-3.0, 3.0)) if dice.random() < 0.3 else (y, x) for y, x in found]
+        return [_bounded(x, y, rng) if rng.random() < 0.5 else (x, y) for x, y in found]
+    return [(y, y * rng.uniform(-3.0, 3.0)) if rng.random() < 0.3 else (y, x) for y, x in found]
 
 
 def _bounded(x: float, y: float, rng: random.Random) -> tuple[float, ...]:
@@ -82,12 +82,12 @@ class Lowered:
         self._exports = instance.exports(self._store)
 
     def _loop(self, name: str) -> str:
-        taken = arity(name)
-        loads = " ".join(f"(f64.load offset={8 * k} (local.get 0))" for k in range(taken))
+        argument_count = arity(name)
+        loads = " ".join(f"(f64.load offset={8 * k} (local.get 0))" for k in range(argument_count))
         return f"""(func (export "{name}") (param i32 i32)
           loop $again
             (f64.store (local.get 0) (call {maths_name(name)} {loads}))
-            (local.set 0 (i32.add (local.get 0) (i32.const {8 * taken})))
+            (local.set 0 (i32.add (local.get 0) (i32.const {8 * argument_count})))
             (br_if $again (i32.lt_u (local.get 0) (local.get 1)))
           end)"""
 
@@ -106,10 +106,10 @@ class Lowered:
 def differing(lowered: Lowered, name: str, values: list[tuple[float, ...]]) -> list[str]:
     """The indexes where WebAssembly and Python differ; all NaNs are equal."""
     function: Callable[..., float] = MATHS[name]
-    theirs = lowered.run(name, values)
+    lowered_value = lowered.run(name, values)
     found = []
-    for row, their in zip(values, theirs, strict=True):
-        mine = function(*row)
-        if mine.hex() != their.hex():
-            found.append(f"{name}{row}: {mine.hex()} and {their.hex()}")
+    for row, their in zip(values, lowered_value, strict=True):
+        reference_value = function(*row)
+        if reference_value.hex() != their.hex():
+            found.append(f"{name}{row}: {reference_value.hex()} and {their.hex()}")
     return found

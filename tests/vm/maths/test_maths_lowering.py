@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-import strange_maths
+import refused_maths
 from maths_values import EDGES, Lowered, arguments, arity, differing
 
 from lfield.vm.maths.intrinsics import MATHS
@@ -57,5 +57,5 @@ def test_only_needed_functions_are_lowered() -> None:
 )
 def test_python_beyond_the_subset_is_refused(name: str, said: str) -> None:
     with pytest.raises(TypeError) as refused:
-        functions_text([getattr(strange_maths, name)])
+        functions_text([getattr(refused_maths, name)])
     assert str(refused.value).startswith(said)

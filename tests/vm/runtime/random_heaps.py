@@ -55,18 +55,16 @@ GROWTH = (
 @cache
 def random_program(seed: int) -> Program:
     """A program with a few classes that have fields of all types."""
-    dice = random.Random(seed)
-    count = dice.randint(1, 4)
+    rng = random.Random(seed)
+    count = rng.randint(1, 4)
 
     def fields() -> str:
-        kinds = (
-            dice.choice(TYPES).replace("C", f"C{dice.randrange(count)}") for _ in range(dice.randint(0, 7))
-        )
+        kinds = (rng.choice(TYPES).replace("C", f"C{rng.randrange(count)}") for _ in range(rng.randint(0, 7)))
         return " ".join(f"public {kind} f{i};" for i, kind in enumerate(kinds))
 
     classes = "\n".join(f"class C{i} {{ {fields()} }}" for i in range(count))
     # In most programs some types of arrays grow.
-    growth = " ".join(dice.choice(("", line)) for line in GROWTH)
+    growth = " ".join(rng.choice(("", line)) for line in GROWTH)
     return compile_text(
         PROGRAM.format(classes=classes, fields=fields().replace("public ", ""), growth=growth)
     )
@@ -105,8 +103,8 @@ class RandomHeap:
         for place in filter(None, self.places):
             self._lead(place)
         self.places = [place for place in self.places if place]
-        for word, wanted in ((layout.W_SELF, ANY_OBJECT), (layout.W_ID, layout.STRING)):
-            w[word] = self.some(wanted)
+        for word, kind in ((layout.W_SELF, ANY_OBJECT), (layout.W_ID, layout.STRING)):
+            w[word] = self.some(kind)
         w[layout.W_THREADS] = self.some(layout.THREAD)
         w[layout.W_TOP] = self.block.top
 
@@ -123,22 +121,22 @@ class RandomHeap:
 
     def _thing(self, half: int) -> int:
         """One object with random words; 0 when it is impossible."""
-        dice, block, kind = self.rng, self.block, half & 0xFF
+        rng, block, kind = self.rng, self.block, half & 0xFF
         if kind == layout.STRING:
-            return block.new_string("".join(dice.choices(LETTERS, k=dice.choice([0, 1, 3, 8, 30]))))
+            return block.new_string("".join(rng.choices(LETTERS, k=rng.choice([0, 1, 3, 8, 30]))))
         if kind == layout.GROWABLE:
             core = self.program.core
-            return block.new_array(half >> 8, core.plain_array(half >> 8), dice.choice([0, 1, 2, 5, 40]))
-        size = self.shapes.sizes[half] or 1 + dice.choice([0, 1, 2, 5, 40])
+            return block.new_array(half >> 8, core.plain_array(half >> 8), rng.choice([0, 1, 2, 5, 40]))
+        size = self.shapes.sizes[half] or 1 + rng.choice([0, 1, 2, 5, 40])
         place = block.allocate(kind, half >> 8, size)
         for i in range(place + 1, place + size):
-            block.w[i] = dice.choice([0, 1, -1, dice.getrandbits(63), -dice.getrandbits(62)])
+            block.w[i] = rng.choice([0, 1, -1, rng.getrandbits(63), -rng.getrandbits(62)])
         if kind == layout.PROXY:
             members = [i for i, of in enumerate(self.shapes.members) if of == half >> 8]
             if not members:
                 block.top = place
                 return 0
-            block.w[place + 1], block.w[place + 2] = dice.choice(members), dice.getrandbits(20)
+            block.w[place + 1], block.w[place + 2] = rng.choice(members), rng.getrandbits(20)
         return place
 
     def _lead(self, place: int) -> None:

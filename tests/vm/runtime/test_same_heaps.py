@@ -99,14 +99,14 @@ def test_a_damaged_heap_affects_no_other_block(seed: int) -> None:
     others += [space.allocate(len(heap.block.data)) for _ in range(4)]
     for other in others:
         other[:] = b"\x5a" * len(other)
-    dice = random.Random(seed)
-    for _ in range(dice.choice([1, 3, 20])):
-        at = dice.randrange(layout.W_SELF, there.top)
-        there.w[at] = dice.choice(
+    rng = random.Random(seed)
+    for _ in range(rng.choice([1, 3, 20])):
+        at = rng.randrange(layout.W_SELF, there.top)
+        there.w[at] = rng.choice(
             [
-                dice.randrange(2 * there.top),
-                dice.getrandbits(64) - (1 << 63),
-                there.w[at] ^ 1 << dice.randrange(62),
+                rng.randrange(2 * there.top),
+                rng.getrandbits(64) - (1 << 63),
+                there.w[at] ^ 1 << rng.randrange(62),
             ]
         )
     with suppress(wasmtime.Trap, HeapFull):

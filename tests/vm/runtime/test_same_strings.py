@@ -91,11 +91,11 @@ class Two:
     def same(self, number: int | None, name: str, *numbers: int) -> int | None:
         """The number, which Python gives too; WebAssembly leaves where Python raises."""
         try:
-            wanted = FUNCTIONS[name](self.registers, *numbers)
+            expected = FUNCTIONS[name](self.registers, *numbers)
         except Trap:
             assert number is None
         else:
-            assert number in (wanted, None)
+            assert number in (expected, None)
         return number
 
 
@@ -131,9 +131,9 @@ def test_positions_of_substrings_are_the_same(text: str, wanted: str) -> None:
 
 def test_a_long_search_and_one_in_null_are_left_to_python() -> None:
     two = Two("a" * 5000, "a" * 20 + "b", None)
-    text, wanted, null = two.places
-    assert two.given("index_of", text, wanted) is None
-    assert two.given("index_of", null, wanted) is None
+    text, expected, null = two.places
+    assert two.given("index_of", text, expected) is None
+    assert two.given("index_of", null, expected) is None
     assert two.given("index_of", text, null) is None
 
 
@@ -177,8 +177,8 @@ def test_comparisons_are_the_same(left: str | None, right: str | None, same: boo
 @example(-(1 << 63), 9, 99)
 @example(0, 9, 99)
 def test_integers_as_text_are_the_same(number: int, room: int, most: int) -> None:
-    made = Two(room=room, most=most).made("i2s", number)
-    assert made == (len(str(number)) <= most and 2 + (len(str(number)) + 7) // 8 <= room)
+    two = Two(room=room, most=most).made("i2s", number)
+    assert two == (len(str(number)) <= most and 2 + (len(str(number)) + 7) // 8 <= room)
 
 
 @pytest.mark.parametrize("truth", [0, 1])

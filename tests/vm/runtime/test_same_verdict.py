@@ -106,27 +106,27 @@ def error_of(check: Callable[[], object]) -> str:
     return ""
 
 
-def damaged(image: bytes, dice: random.Random) -> bytes:
+def damaged(image: bytes, rng: random.Random) -> bytes:
     """Change a few words: to any value, to each other, or by a bit."""
     data = bytearray(image)
     w = memoryview(data).cast("q")
-    for _ in range(dice.choice([1, 1, 1, 2, 5])):
-        at, other = dice.randrange(len(w)), dice.randrange(len(w))
-        match dice.randrange(6):
+    for _ in range(rng.choice([1, 1, 1, 2, 5])):
+        at, other = rng.randrange(len(w)), rng.randrange(len(w))
+        match rng.randrange(6):
             case 0:
-                w[at] = dice.choice([0, 1, -1, -(1 << 63), (1 << 63) - 1, len(w), len(w) - 1, 1 << 32])
+                w[at] = rng.choice([0, 1, -1, -(1 << 63), (1 << 63) - 1, len(w), len(w) - 1, 1 << 32])
             case 1:
                 w[at] = w[other]
             case 2:
-                w[at] ^= 1 << dice.randrange(63)
+                w[at] ^= 1 << rng.randrange(63)
             case 3:
-                w[at] = dice.randrange(len(w))
+                w[at] = rng.randrange(len(w))
             case 4:
-                data[8 * at + dice.randrange(8)] = dice.choice(
+                data[8 * at + rng.randrange(8)] = rng.choice(
                     b"\x00\x41\x80\xbf\xc0\xc1\xc2\xe0\xed\xf0\xf4\xf5"
                 )
             case _:
-                w[at] = w[at] + dice.choice([-1, 1]) * (1 << dice.choice([0, 8, 32])) & (1 << 62) - 1
+                w[at] = w[at] + rng.choice([-1, 1]) * (1 << rng.choice([0, 8, 32])) & (1 << 62) - 1
     w[layout.W_TOP] = len(w)
     return bytes(data)
 
@@ -148,9 +148,9 @@ def test_one_image_has_tickets() -> None:
     counts = []
     for image in IMAGES:
         block = CHECKERS[1].check(image, LIMIT)
-        walked = heaps().verify_heap(block.data, block.heap, block.top, CHECKERS[1].schema)
-        assert walked is not None
-        counts.append(len(walked[1]))
+        verified = heaps().verify_heap(block.data, block.heap, block.top, CHECKERS[1].schema)
+        assert verified is not None
+        counts.append(len(verified[1]))
     # Three calls, and their list.
     assert sorted(counts) == [0, 0, 4]
 
@@ -234,10 +234,10 @@ OF_HEADERS = ("magic", "another program", "its size", "heartbeat", "its clock", 
 def test_random_heaps_valid_or_not_give_the_same_verdict(seed: int, tickets: bool) -> None:
     """Without errors of objects, Python is not asked about them; it checks tickets."""
     heap = RandomHeap(seed, tickets=tickets)
-    dice = random.Random(seed)
+    rng = random.Random(seed)
     image = bytes(heap.block.image())
-    if dice.random() < 0.8:
-        image = damaged(image, dice)
+    if rng.random() < 0.8:
+        image = damaged(image, rng)
     first, second = (
         error_of(lambda c=checker: c.check(image, LIMIT)) for checker in checkers(heap.program, MEMBERS)
     )
@@ -247,16 +247,16 @@ def test_random_heaps_valid_or_not_give_the_same_verdict(seed: int, tickets: boo
     data[:] = image
     w = memoryview(data).cast("q")
     top, heap_at = len(w), layout.HEADER_WORDS
-    walked = space.verify_heap(data, heap_at, top, heap.shapes)
+    verified = space.verify_heap(data, heap_at, top, heap.shapes)
     if w[layout.W_MAGIC] != layout.MAGIC | layout.VERSION << 32:
         return
     if any(what in first for what in OF_THINGS):
-        assert walked is None
+        assert verified is None
     elif not any(what in first for what in (*OF_HEADERS, *OF_TICKETS)):
-        assert walked is not None
-    if walked is None:
+        assert verified is not None
+    if verified is None:
         return
-    starts, places = walked
+    starts, places = verified
     place, found = heap_at, {}
     while place < top:
         found[place] = w[place] & 0xFFFFFFFF

@@ -289,7 +289,7 @@ def test_a_refused_call_in_a_together_leaves_the_other_calls_of_its_host() -> No
     joined.run(until=1.0)
     machine.resume(machine.agents["boss"], "ReservedException", "r1 is reserved by pilot", "r1")
     joined.run(until=0.5)
-    assert [begun.resource for begun in machine.pending_calls.calls()] == ["r2"]
+    assert [call.resource for call in machine.pending_calls.calls()] == ["r2"]
 
 
 # --- nested ---------------------------------------------------------------------------------------------
@@ -381,8 +381,8 @@ def test_an_expired_limit_does_not_interrupt_the_release() -> None:
 
 @pytest.mark.parametrize("allowed", ["", "count"])
 def test_a_coordinator_without_a_permitted_call_cannot_reserve_a_resource(allowed: str) -> None:
-    caught = 'catch (AccessException e) { print(e.source() + ": " + e.message()); }'
-    body = 'try { reserve (r) { print("in"); } }' + caught
+    handler = 'catch (AccessException e) { print(e.source() + ": " + e.message()); }'
+    body = 'try { reserve (r) { print("in"); } }' + handler
     joined = ReservingHosts(program(body))
 
     def rules(coordinator: str, resource: str, method: int) -> str:

@@ -48,7 +48,7 @@ def array_of(block: Block) -> int:
 
 def test_held_reservations_are_known_at_every_step() -> None:
     joined = ReservingHosts(program(BODY))
-    seen = []
+    observed = []
     for _ in range(40):
         joined.still()
         host, boss = next(
@@ -56,7 +56,7 @@ def test_held_reservations_are_known_at_every_step() -> None:
         )
         if boss is None:
             break
-        seen.append(
+        observed.append(
             tuple(
                 (member.id, number)
                 for member, number in joined.machines[host].held_reservations.of_coordinator(boss)
@@ -65,22 +65,22 @@ def test_held_reservations_are_known_at_every_step() -> None:
         if not joined.carry():
             joined.clock.advance(0.5)
     whole = (("r0", 7), ("r1", 8), ("r2", 9))
-    assert list(dict.fromkeys(seen)) == [(("r0", 7),), (("r0", 7), ("r1", 8)), whole]
+    assert list(dict.fromkeys(observed)) == [(("r0", 7),), (("r0", 7), ("r1", 8)), whole]
     assert joined.printed == ["0", "1", "behind"]
 
 
 def test_a_block_view_shows_the_reservations() -> None:
     joined = waiting()
-    shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
-    assert shown.threads[0].frames[0].reserved == ("r0, by number 7",)
+    frame_locals = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
+    assert frame_locals.threads[0].frames[0].reserved == ("r0, by number 7",)
 
 
 def test_a_block_view_shows_no_reservations_after_the_block() -> None:
     joined = ReservingHosts(program("reserve (r) { } sleep(5.0);"))
     joined.run(until=1.0)
     host, boss = joined.boss
-    shown = view(boss.block, joined.program, [member.id for member in joined.team])
-    assert shown.threads[0].frames[0].reserved == ()
+    frame_locals = view(boss.block, joined.program, [member.id for member in joined.team])
+    assert frame_locals.threads[0].frames[0].reserved == ()
     assert joined.machines[host].held_reservations.of_coordinator(boss) == []
 
 
@@ -143,19 +143,19 @@ def test_a_recovered_coordinator_releases_its_numbers_after_an_exception() -> No
 def test_an_acting_call_after_a_reservation_needs_a_new_page() -> None:
     """The coordinator hopped to r1, so its page is from `take`; an acting portal needs a new page."""
     joined = ReservingHosts(program("reserve (r[1]) { r[1].work(1.0); }"))
-    asked = []
-    joined.places[1].may_start_call = lambda agent, acts: asked.append(agent.is_persisted) or True  # type: ignore[method-assign]
+    requests = []
+    joined.places[1].may_start_call = lambda agent, acts: requests.append(agent.is_persisted) or True  # type: ignore[method-assign]
     joined.run()
-    assert asked == [False]
+    assert requests == [False]
 
 
 def test_an_acting_call_after_a_fetch_needs_a_new_page() -> None:
     joined = ReservingHosts(program("together { r[1].work(5.0); r[2].work(1.0); } r[1].work(1.0);"))
-    asked = []
-    joined.places[1].may_start_call = lambda agent, acts: asked.append(agent.is_persisted) or True  # type: ignore[method-assign]
+    requests = []
+    joined.places[1].may_start_call = lambda agent, acts: requests.append(agent.is_persisted) or True  # type: ignore[method-assign]
     joined.run()
     assert joined.route == [0, 1, 2, 1]
-    assert asked == [False]
+    assert requests == [False]
 
 
 def test_calls_of_other_coordinators_are_reported() -> None:

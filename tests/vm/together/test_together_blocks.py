@@ -139,20 +139,20 @@ def test_tickets_are_removed_after_their_together() -> None:
 def test_a_block_view_shows_the_states_of_calls() -> None:
     joined = JoinedHosts(program(), 3)
     joined.cut.add(2)
-    seen: set[str] = set()
+    observed: set[str] = set()
     for _ in range(40):
         joined.run(until=0.1)
         for machine in joined.machines:
             if (boss := machine.agents.get("boss")) is not None:
-                shown = view(boss.block, joined.program, [member.id for member in joined.team])
-                seen.update(
-                    call for thread in shown.threads for frame in thread.frames for call in frame.calls
+                frame_locals = view(boss.block, joined.program, [member.id for member in joined.team])
+                observed.update(
+                    call for thread in frame_locals.threads for frame in thread.frames for call in frame.calls
                 )
-                assert any(name == "call of a together" for name, _, _ in shown.heap) or not seen
+                assert any(name == "call of a together" for name, _, _ in frame_locals.heap) or not observed
     assert {
         "r0.stamp() started",
         "r2.count() returned with UnreachableResourceException",
-    } <= seen
+    } <= observed
 
 
 @pytest.mark.few(1)

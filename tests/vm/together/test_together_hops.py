@@ -62,8 +62,8 @@ def test_one_visit_starts_all_calls_of_a_host() -> None:
     body = 'together { r[0].count(); r[1].count(); r[2].count(); r[1].fail("no"); r[0].count(); }'
     joined = run(f"try {{ {body} }} catch (ConversionException e) {{ print(e.message()); }}", 3)
     assert joined.route == [0, 1, 2, 0, 1]
-    asked = [[len(calls) for calls in place.asked] for place in joined.places]
-    assert asked == [[2], [2], [1]]
+    request_counts = [[len(calls) for calls in place.asked] for place in joined.places]
+    assert request_counts == [[2], [2], [1]]
     assert joined.printed == ["no"]
 
 
@@ -134,12 +134,12 @@ def test_a_result_is_fetched_only_when_durable_and_then_acknowledged() -> None:
     joined.places[1].keeps = False
     joined.run()
     assert joined.boss[0] == 1
-    [begun] = joined.places[1].unkept
-    assert (begun.key, begun.state, begun.portal) == (("boss", 1, 2), "done", "work")
-    joined.machines[1].pending_calls.on_persisted(begun.key)
+    [pending_call] = joined.places[1].unkept
+    assert (pending_call.key, pending_call.state, pending_call.portal) == (("boss", 1, 2), "done", "work")
+    joined.machines[1].pending_calls.on_persisted(pending_call.key)
     agent = joined.boss[1]
     joined.still()
-    assert joined.machines[1].pending_calls.drain_fetched(agent) == [begun.key]
+    assert joined.machines[1].pending_calls.drain_fetched(agent) == [pending_call.key]
     assert joined.machines[1].pending_calls.drain_fetched(agent) == []
     joined.run()
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
@@ -151,8 +151,8 @@ def test_a_failed_resource_stores_an_exception_for_its_calls() -> None:
     joined.run(until=1.0)
     machine = joined.machines[1]
     machine._scheduler.die(machine.agents["r1"], "a test")
-    [begun] = machine.pending_calls.calls()
-    assert (begun.state, begun.is_persisted) == ("thrown", True)
+    [pending_call] = machine.pending_calls.calls()
+    assert (pending_call.state, pending_call.is_persisted) == ("thrown", True)
     joined.run()
     assert joined.printed == ["r1r1 has died: a test"]
 
@@ -170,8 +170,8 @@ def test_a_restarted_host_has_lost_its_running_calls() -> None:
         program(f"try {{ {ALL} {TOLD} }} catch (RestartException e) {{ print(e.message()); }}"), 3
     )
     joined.run(until=1.0)
-    [begun] = joined.machines[1].pending_calls.calls()
-    joined.restart(1, [PendingCall(*begun.key, begun.resource, begun.portal)])
+    [pending_call] = joined.machines[1].pending_calls.calls()
+    joined.restart(1, [PendingCall(*pending_call.key, pending_call.resource, pending_call.portal)])
     joined.run()
     assert joined.printed == ["its host restarted while r1.work() ran; it may have been executed"]
     assert joined.machines[1].pending_calls.calls() == []
@@ -180,8 +180,14 @@ def test_a_restarted_host_has_lost_its_running_calls() -> None:
 def test_a_restarted_host_returns_its_stored_results() -> None:
     joined = JoinedHosts(program(ALL.replace("2.0", "2.0 - i") + TOLD), 3)
     joined.run(until=1.5)
-    [begun] = joined.machines[1].pending_calls.calls()
-    page = PendingCall(*begun.key, begun.resource, begun.portal, state="done", result=begun.result)
+    [pending_call] = joined.machines[1].pending_calls.calls()
+    page = PendingCall(
+        *pending_call.key,
+        pending_call.resource,
+        pending_call.portal,
+        state="done",
+        result=pending_call.result,
+    )
     joined.restart(1, [page])
     joined.run()
     assert joined.printed == ["cr0", "cr1", "cr2", "after 2.0"]
@@ -190,10 +196,10 @@ def test_a_restarted_host_returns_its_stored_results() -> None:
 def test_a_result_in_an_invalid_block_is_lost() -> None:
     joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.source()); }}"), 2)
     joined.run(until=1.0)
-    [begun] = joined.machines[1].pending_calls.calls()
+    [pending_call] = joined.machines[1].pending_calls.calls()
     machine = joined.machines[0]
     machine.pending_calls.restore(
-        [PendingCall(*begun.key, "r0", "work", state="done", result=b"12345678" * 50)]
+        [PendingCall(*pending_call.key, "r0", "work", state="done", result=b"12345678" * 50)]
     )
     assert machine.pending_calls.calls()[-1].state == "lost"
 
@@ -205,10 +211,10 @@ def test_a_later_start_does_not_fetch_results_of_an_earlier_one() -> None:
     assert (host, boss.frozen) == (2, False)
     boss.block.w[layout.W_GENERATION] = 7
     joined.run()
-    said = "boss was recovered since it called r%d.work(); the call may have been executed"
+    text = "boss was recovered since it called r%d.work(); the call may have been executed"
     assert joined.printed == [
-        *(f"r{i}.work() also failed: RestartException: {said % i}" for i in (1, 2)),
-        said % 0,
+        *(f"r{i}.work() also failed: RestartException: {text % i}" for i in (1, 2)),
+        text % 0,
     ]
     assert joined.machines[1].pending_calls.cancel("boss", 1, "fenced") == []
     assert joined.machines[1].pending_calls.cancel("boss", 7, "fenced") == [("boss", 1, 2)]
@@ -228,8 +234,8 @@ def test_a_pause_fails_running_calls_whose_portals_continue() -> None:
     joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 2)
     joined.run(until=1.0)
     joined.machines[0].pending_calls.fail_running("boss", "RestartException", "the mission was paused")
-    [begun] = joined.machines[0].pending_calls.calls()
-    assert (begun.state, begun.is_persisted) == ("thrown", True)
+    [pending_call] = joined.machines[0].pending_calls.calls()
+    assert (pending_call.state, pending_call.is_persisted) == ("thrown", True)
     joined.run()
     assert joined.printed == ["the mission was paused (r0.work)"]
 
@@ -288,9 +294,9 @@ def test_a_coordinator_restored_during_a_fetch_continues() -> None:
 
 def test_a_recovery_exception_precedes_an_exit_or_a_time_limit() -> None:
     """The actions of an earlier start after it left the block, or after its time limit, are unknown."""
-    caught = "catch (RestartException e) { print(e.message()); } catch (TimeLimitException e) { print(0); }"
-    limited = "try { within (1.0) { " + ALL + " } } " + caught
-    for body, until in ((LEAVES + caught, 1.2), (limited, 0.9)):
+    handler = "catch (RestartException e) { print(e.message()); } catch (TimeLimitException e) { print(0); }"
+    limited = "try { within (1.0) { " + ALL + " } } " + handler
+    for body, until in ((LEAVES + handler, 1.2), (limited, 0.9)):
         joined = JoinedHosts(program(body), 3)
         joined.run(until=until)
         host, boss = joined.boss
@@ -318,10 +324,10 @@ def test_an_expired_lease_throws_during_a_fetch() -> None:
 def test_each_host_cancels_its_calls_at_the_time_limit() -> None:
     body = "try { within (1.0) { " + ALL + " } } catch (TimeLimitException e) { print(e.message()); }"
     joined = run(body + " print(now() - begun);", 3)
-    said = "the time is over; r0.work() was cancelled; r1.work() was cancelled; r2.work() was cancelled"
-    said += "; the block ends 0.5 s late: it waited for its calls and their hosts"
+    text = "the time is over; r0.work() was cancelled; r1.work() was cancelled; r2.work() was cancelled"
+    text += "; the block ends 0.5 s late: it waited for its calls and their hosts"
     # Each host has cancelled its calls at the same time.
-    assert joined.printed == ["r0 cancelled", "r1 cancelled", "r2 cancelled", said, "1.5"]
+    assert joined.printed == ["r0 cancelled", "r1 cancelled", "r2 cancelled", text, "1.5"]
 
 
 def test_a_time_limit_includes_transfers_and_downtimes_of_hosts() -> None:
@@ -411,14 +417,14 @@ def test_hostile_tickets_are_refused() -> None:
 
 
 def test_a_forbidden_call_throws_and_the_other_calls_start() -> None:
-    caught = "try {" + ALL + '} catch (AccessException e) { print(e.source() + ": " + e.message()); }'
-    work = next(i for i, m in enumerate(program(caught).core.methods) if m.name == "work")
+    handler = "try {" + ALL + '} catch (AccessException e) { print(e.source() + ": " + e.message()); }'
+    work = next(i for i, m in enumerate(program(handler).core.methods) if m.name == "work")
 
     def rules(coordinator: str, resource: str, method: int) -> str:
         return "not this one" if (coordinator, resource, method) == ("boss", "r1", work) else ""
 
     joined = JoinedHosts(
-        program(caught + "for (int i = 0; i < 3; i = i + 1) print(r[i].count());"), 3, rules=rules
+        program(handler + "for (int i = 0; i < 3; i = i + 1) print(r[i].count());"), 3, rules=rules
     )
     joined.run()
     assert joined.printed == ["r1: not this one", "1", "0", "1"]

@@ -46,9 +46,9 @@ coordinator Boss {
 def test_other_exceptions_of_an_object_are_not_shown_as_fields() -> None:
     joined = JoinedHosts(compile_text(OWN), 1)
     joined.run(until=5.0)
-    shown = dict(view(joined.boss[1].block, joined.program).threads[0].frames[0].locals)
-    assert shown["b"].startswith("Boom @")
-    assert shown["b"].endswith(" {1}")
+    frame_locals = dict(view(joined.boss[1].block, joined.program).threads[0].frames[0].locals)
+    assert frame_locals["b"].startswith("Boom @")
+    assert frame_locals["b"].endswith(" {1}")
     joined.run()
     assert joined.printed == ["r0.boom() also failed: Boom {2}", "2"]
 

@@ -43,16 +43,16 @@ coordinator Boss {
 @cache
 def placed() -> Program:
     """The program with its first `begin` replaced by a `settle`."""
-    made = compile_text(PLACED)
-    quads = list(made.quads)
+    source = compile_text(PLACED)
+    core, quads = source.core, list(source.quads)
     pc = next(i for i, quad in enumerate(quads) if quad.op == BY_NAME["begin"].code)
     quads[pc - 1] = Quad(BY_NAME["push"].code, 2, 0, 0)
-    quads[pc] = Quad(BY_NAME["settle"].code, made.core.types.index(TypeRecord(ARRAY, STRING)), 0, 0)
-    core = made.core.__class__(
-        made.core.types, made.core.constants, made.core.classes, made.core.methods, made.core.device_calls,
+    quads[pc] = Quad(BY_NAME["settle"].code, core.types.index(TypeRecord(ARRAY, STRING)), 0, 0)
+    settled_core = core.__class__(
+        core.types, core.constants, core.classes, core.methods, core.device_calls,
         encode_quads(quads),
     )  # fmt: skip
-    program = Program(core, made.debug, made.digest)
+    program = Program(settled_core, source.debug, source.digest)
     verify(program)
     return program
 
@@ -60,8 +60,8 @@ def placed() -> Program:
 def test_an_immediate_result_is_assigned_after_all_calls_return() -> None:
     joined = JoinedHosts(placed(), 2)
     joined.run(until=0.5)
-    shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
-    calls = [call for frame in shown.threads[0].frames for call in frame.calls]
+    frame_locals = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
+    calls = [call for frame in frame_locals.threads[0].frames for call in frame.calls]
     assert calls == ["an offer that was executed synchronously returned", "r1.work() started"]
     joined.run()
     assert joined.printed[-3:] == ["settled", "stuck", "before"]

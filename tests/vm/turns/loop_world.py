@@ -104,8 +104,8 @@ class WagonTeam:
             TeamMember(0, "wagon", "Wagon", "resource", 0),
             TeamMember(1, "boss", "Boss", "coordinator", 0),
         ]
-        made = program(loops, boss, init)
-        self.machine = Machine(made, MachineTeam(team, 0, 1), self.host, self.clock, random.Random(1))
+        compiled = program(loops, boss, init)
+        self.machine = Machine(compiled, MachineTeam(team, 0, 1), self.host, self.clock, random.Random(1))
         self.host.machine = self.machine
         for member in team:
             self.machine.start(member, limits or AgentLimits(), 1)
@@ -125,7 +125,7 @@ class WagonTeam:
 
     def run(self, until: float) -> list[str]:
         """Run to this time after the start; everything printed since the last call."""
-        said = len(self.output)
+        line_count = len(self.output)
         end = self.clock.now + until
         while True:
             pause = self.machine.run()
@@ -133,7 +133,7 @@ class WagonTeam:
                 continue
             if pause is None or self.clock.now + pause > end:
                 self.clock.advance(max(0.0, end - self.clock.now))
-                return self.output[said:]
+                return self.output[line_count:]
             self.clock.advance(pause)
 
     def answer(self, number: int = 0) -> None:

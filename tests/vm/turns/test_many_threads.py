@@ -36,39 +36,39 @@ def crowd(size: int, desk: GoldenWorld, clock: ManualClock) -> Machine:
     """So many coordinators, which have not started, before one gate."""
     team = [TeamMember(0, "gate", "Gate", "resource", 0)]
     team += [TeamMember(n, f"w{n}", "Walker", "coordinator", 0, (str(n),)) for n in range(1, size + 1)]
-    made = Machine(compile_text(PROGRAM), MachineTeam(team, 0, 1), desk, clock, random.Random(1))
+    machine = Machine(compile_text(PROGRAM), MachineTeam(team, 0, 1), desk, clock, random.Random(1))
     for member in team:
-        made.start(member, AgentLimits(threads=size), generation=1)
-    return made
+        machine.start(member, AgentLimits(threads=size), generation=1)
+    return machine
 
 
 def test_the_work_is_linear_in_the_number_of_threads(
     steps: Callable[[Callable[[], object]], int],
 ) -> None:
-    taken = []
+    durations = []
     for size in (30, 300):
         desk, clock = GoldenWorld(), ManualClock()
         made = crowd(size, desk, clock)
-        taken.append(steps(lambda made=made, clock=clock: run_until_idle(made, clock)))  # type: ignore[misc]
+        durations.append(steps(lambda made=made, clock=clock: run_until_idle(made, clock)))  # type: ignore[misc]
         assert made.agents["gate"].served == size
         assert count(made.agents["gate"].block) == 0
-    assert taken[1] < 12 * taken[0]
+    assert durations[1] < 12 * durations[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_threads_are_found_where_the_list_has_them(seed: int) -> None:
     """With any order of starts and ends, and with moves of the heap meanwhile."""
-    dice, block = random.Random(seed), Block.empty(bytes(32), 1 << 20)
+    rng, block = random.Random(seed), Block.empty(bytes(32), 1 << 20)
     layouts = Layouts(compile_text(PROGRAM))
     template = thread_template(0, layouts.frame_words[0], 0)
     living: list[int] = []
     for _ in range(400):
-        if dice.random() < 0.1:
+        if rng.random() < 0.1:
             collect(block, layouts)
-        if living and dice.random() < 0.45:
-            gone = living.pop(dice.randrange(len(living)))
-            unlink(block, gone)
-            assert place_of(block, gone) == 0
+        if living and rng.random() < 0.45:
+            ended = living.pop(rng.randrange(len(living)))
+            unlink(block, ended)
+            assert place_of(block, ended) == 0
         elif block.top + 256 < block.end:
             living.append(block.new_thread(template, [], 7))
         assert count(block) == len(living)

@@ -57,11 +57,11 @@ def machine(body: str, desk: GoldenWorld | None = None, clock: ManualClock | Non
     ids=["turns", "instructions"],
 )
 def test_a_round_ends_after_a_number_of_turns_or_instructions(body: str, least: int, most: int) -> None:
-    made, used = machine(body), []
-    made.hooks.meter = used.append
-    made.run()
+    vm, used = machine(body), []
+    vm.hooks.meter = used.append
+    vm.run()
     used.clear()
-    assert made.run() == 0.0
+    assert vm.run() == 0.0
     assert len(used) <= TURNS_PER_RUN
     assert least <= sum(used) <= most
 
@@ -76,28 +76,28 @@ class Slow(ManualClock):
 
 @pytest.mark.parametrize("body", ["while (true) store.ask();", "int i = 0; while (true) i = i + 1;"])
 def test_a_round_ends_when_it_has_taken_long(body: str) -> None:
-    made, turns = machine(body, clock=Slow()), []
-    made.run()
-    made.hooks.meter = turns.append
-    made.run()
+    vm, turns = machine(body, clock=Slow()), []
+    vm.run()
+    vm.hooks.meter = turns.append
+    vm.run()
     assert 1 <= len(turns) <= 1000 * SECONDS_PER_RUN + 1
 
 
 def test_every_ready_thread_has_a_turn_in_a_round_of_calls() -> None:
-    made, turns = machine("while (true) store.ask();"), []
-    made.run()
-    made.hooks.meter = turns.append
-    made.run()
+    vm, turns = machine("while (true) store.ask();"), []
+    vm.run()
+    vm.hooks.meter = turns.append
+    vm.run()
     assert len(turns) == TURNS_PER_RUN
 
 
 def test_portals_that_keep_nothing_make_no_garbage() -> None:
     tops = []
     for calls in (1, 1000):
-        made = machine(f"for (int i = 0; i < {calls}; i = i + 1) store.ask();")
-        run_until_idle(made, ManualClock())
-        assert made.agents["store"].served == calls
-        tops.append(made.agents["store"].block.top)
+        vm = machine(f"for (int i = 0; i < {calls}; i = i + 1) store.ask();")
+        run_until_idle(vm, ManualClock())
+        assert vm.agents["store"].served == calls
+        tops.append(vm.agents["store"].block.top)
     assert tops[0] == tops[1]
 
 
@@ -111,18 +111,18 @@ def test_kept_objects_of_portals_stay_and_others_are_collected() -> None:
       print(i2s(sum));
     """
     desk = GoldenWorld()
-    made = machine(body, desk)
+    vm = machine(body, desk)
     expected = count = 0
     for i in range(1, 60):
         expected += (count + 1) + (count + 1 + i) + 1
         count += 1 + i
-    run_until_idle(made, ManualClock())
-    store = made.agents["store"]
+    run_until_idle(vm, ManualClock())
+    store = vm.agents["store"]
     assert (store.served, desk.output) == (3 * 59, [str(expected)])
-    collect(store.block, made.layouts)
-    kept, w = [], store.block.w
+    collect(store.block, vm.layouts)
+    lengths, w = [], store.block.w
     box = w[w[W_SELF] + 1]
     while box:
-        kept.append((w[w[box + 1]] >> 32) - 1)
+        lengths.append((w[w[box + 1]] >> 32) - 1)
         box = w[box + 2]
-    assert kept == list(range(59, 0, -1))
+    assert lengths == list(range(59, 0, -1))

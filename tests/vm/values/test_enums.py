@@ -52,14 +52,14 @@ def running() -> tuple[Machine, Block]:
 
 def test_a_decoded_block_shows_member_names() -> None:
     machine, block = running()
-    shown = view(block, machine.program)
-    fields = dict(shown.fields)
+    frame_locals = view(block, machine.program)
+    fields = dict(frame_locals.fields)
     assert fields["now"] == "LIFT"
     assert fields["all"].endswith("{HOME, SEARCH}")
     assert fields["next"].endswith("{SEARCH: LIFT}")
     assert fields["step"].endswith("{HOME}")
     assert fields["number"] == "2"
-    assert ("held", "HOME") in shown.threads[0].frames[0].locals
+    assert ("held", "HOME") in frame_locals.threads[0].frames[0].locals
 
 
 def test_a_number_without_a_member_is_shown_as_a_number() -> None:
@@ -115,15 +115,15 @@ def test_a_mission_test_gets_member_names() -> None:
     portal = next(method for method in program.core.methods if method.name == "given")
     kind, array = portal.slots[1], portal.slots[2]
     block = Block(bytearray(8 * 4096), 64, 4096)
-    words = [
+    arguments = [
         EncodedValue(program, kind, "HOME").put(block),
         EncodedValue(program, array, ["LIFT"]).put(block),
     ]
-    assert values_of(block, program, [kind, array], words) == ["HOME", ["LIFT"]]
+    assert values_of(block, program, [kind, array], arguments) == ["HOME", ["LIFT"]]
     for wrong in ("Home", 1, None, True):
-        with pytest.raises(Mismatch) as caught:
+        with pytest.raises(Mismatch) as error:
             EncodedValue(program, kind, wrong)
-        assert caught.value.expected == "Phase"
+        assert error.value.expected == "Phase"
 
 
 def test_a_program_with_an_enum_is_encoded_and_listed() -> None:

@@ -54,10 +54,10 @@ def test_a_thousand_agents_need_few_addresses(most: int) -> None:
 
 def test_a_freed_large_region_uses_no_memory() -> None:
     arena = Arena()
-    room = arena.allocate(32 << 20)
-    room[:] = b"x" * len(room)
-    base, full = arena.base(room), _resident()
-    del room
+    capacity = arena.allocate(32 << 20)
+    capacity[:] = b"x" * len(capacity)
+    base, full = arena.base(capacity), _resident()
+    del capacity
     assert _resident() < full - (24 << 20)
     again = arena.allocate(32 << 20)
     assert arena.base(again) == base

@@ -346,5 +346,5 @@ def test_the_required_version_is_that_of_the_project() -> None:
     from lfield.vm.wasm.wasm_compiler import VERSION
 
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8"))
-    (wanted,) = project["project"]["optional-dependencies"]["wasm"]
-    assert wanted.startswith(f"wasmtime>={VERSION},<{VERSION + 1};")
+    (requirement,) = project["project"]["optional-dependencies"]["wasm"]
+    assert requirement.startswith(f"wasmtime>={VERSION},<{VERSION + 1};")

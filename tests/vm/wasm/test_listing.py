@@ -45,9 +45,9 @@ def test_the_listing_is_the_executed_module(name: str) -> None:
 
 def test_every_compiled_instruction_is_above_its_text() -> None:
     wasm = [line.strip() for line in listing(PROGRAM).splitlines()]
-    wanted = [line.strip() for line in disassemble(PROGRAM).splitlines() if " ^" in line and ", " in line]
-    assert len(wanted) > 10
-    assert [line for line in wanted if not any(w.endswith(line) for w in wasm if w.startswith(";;"))] == []
+    expected = [line.strip() for line in disassemble(PROGRAM).splitlines() if " ^" in line and ", " in line]
+    assert len(expected) > 10
+    assert [line for line in expected if not any(w.endswith(line) for w in wasm if w.startswith(";;"))] == []
     at = next(i for i, line in enumerate(wasm) if line.endswith("sum = sum + twice(i);"))
     assert wasm[at].startswith(";; golden.L:6  ")
     assert "push" in wasm[at + 1]
@@ -73,11 +73,11 @@ def test_nested_lines_are_indented() -> None:
 
 def test_methods_left_out_are_listed_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lowering, "MAX_FUNCTION_TEXT", 2500)
-    shown = listing(PROGRAM)
-    why = "its code is too long for WebAssembly"
-    assert f"  ;; R.init is executed by the reference engine: {why}\n" in shown
-    assert ";; R.twice is left" not in shown
-    wasmtime.wat2wasm(shown)
+    output = listing(PROGRAM)
+    reason = "its code is too long for WebAssembly"
+    assert f"  ;; R.init is executed by the reference engine: {reason}\n" in output
+    assert ";; R.twice is left" not in output
+    wasmtime.wat2wasm(output)
 
 
 def test_the_executed_module_has_no_comments() -> None:

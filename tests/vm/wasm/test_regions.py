@@ -37,11 +37,13 @@ def test_a_region_is_reused_only_without_references() -> None:
 
 def test_regions_do_not_overlap_and_keep_their_bytes() -> None:
     arena = Arena()
-    rooms = [arena.allocate(size) for size in (8, 512, 520, 4096, 5000, 1 << 20, 70_000)]
-    for number, room in enumerate(rooms, 1):
-        room[:] = bytes([number]) * len(room)
-    assert [bytes(room) == bytes([n]) * len(room) for n, room in enumerate(rooms, 1)] == [True] * len(rooms)
-    places = sorted((arena.base(room), size_class(len(room))) for room in rooms)
+    blocks = [arena.allocate(size) for size in (8, 512, 520, 4096, 5000, 1 << 20, 70_000)]
+    for number, capacity in enumerate(blocks, 1):
+        capacity[:] = bytes([number]) * len(capacity)
+    assert [bytes(capacity) == bytes([n]) * len(capacity) for n, capacity in enumerate(blocks, 1)] == [
+        True
+    ] * len(blocks)
+    places = sorted((arena.base(capacity), size_class(len(capacity))) for capacity in blocks)
     assert all(base + size <= after for (base, size), (after, _) in pairwise(places))
 
 
@@ -75,9 +77,9 @@ def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
 def test_with_a_full_arena_blocks_lie_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = HeapArena()
-    rooms = [arena.allocate(1 << 20) for _ in range(20)]
+    blocks = [arena.allocate(1 << 20) for _ in range(20)]
     assert arena.reservation == 1 << 24 < ADDRESS_SPACE
-    inside = [arena.base(room) >= 0 for room in rooms]
+    inside = [arena.base(capacity) >= 0 for capacity in blocks]
     assert inside == sorted(inside, reverse=True)
     assert 10 < sum(inside) < 20
 
@@ -96,14 +98,14 @@ def test_no_region_reaches_the_end_of_the_address_space() -> None:
 def test_with_a_full_arena_a_larger_free_region_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = HeapArena()
-    rooms = [arena.allocate(1 << 20) for _ in range(20)]
+    blocks = [arena.allocate(1 << 20) for _ in range(20)]
     while arena.allocate_region(512) >= 0:
         pass
-    base = arena.base(rooms[0])
-    del rooms[0]
+    base = arena.base(blocks[0])
+    del blocks[0]
     gc.collect()
     small = [arena.allocate(100) for _ in range(3)]
-    assert [arena.base(room) - base for room in small] == [0, 512, 1024]
+    assert [arena.base(capacity) - base for capacity in small] == [0, 512, 1024]
     assert arena.base(arena.allocate(1 << 20)) == -1
     del small
     gc.collect()
@@ -113,10 +115,10 @@ def test_with_a_full_arena_a_larger_free_region_is_divided(monkeypatch: pytest.M
 def test_adjacent_free_regions_are_joined(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = Arena()
-    rooms = [arena.allocate(1 << 20) for _ in range(15)]
-    assert all(arena.base(room) >= 0 for room in rooms)
-    places = [arena.base(room) for room in rooms]
-    del rooms[3:6], rooms[-1]
+    blocks = [arena.allocate(1 << 20) for _ in range(15)]
+    assert all(arena.base(capacity) >= 0 for capacity in blocks)
+    places = [arena.base(capacity) for capacity in blocks]
+    del blocks[3:6], blocks[-1]
     gc.collect()
     assert arena.base(arena.allocate(4 << 20)) == -1
     three = arena.allocate(3 << 20)
@@ -128,9 +130,9 @@ def test_regions_freed_by_the_collector_meanwhile_are_not_lost(monkeypatch: pyte
     """Python may collect at any allocation, also while free regions are joined."""
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = Arena()
-    kept = [arena.allocate(1 << size) for size in range(9, 16) for _ in range(20)]
-    while arena.base(room := arena.allocate(1 << 20)) >= 0:
-        kept.append(room)
+    blocks = [arena.allocate(1 << size) for size in range(9, 16) for _ in range(20)]
+    while arena.base(capacity := arena.allocate(1 << 20)) >= 0:
+        blocks.append(capacity)
     waiting = [arena.allocate(700 + 97 * i) for i in range(30)]
 
     def sorted_meanwhile(regions: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -141,7 +143,7 @@ def test_regions_freed_by_the_collector_meanwhile_are_not_lost(monkeypatch: pyte
         return sorted(found)
 
     monkeypatch.setattr("lfield.vm.wasm.arena.sorted", sorted_meanwhile, raising=False)
-    kept.clear()
+    blocks.clear()
     assert arena.base(arena.allocate(3_000_000)) >= 0
     assert waiting == []
     monkeypatch.undo()

@@ -87,13 +87,13 @@ def test_a_budget_ends_at_the_same_instruction(budget: int) -> None:
     method = next(i for i, m in enumerate(COUNTING.core.methods) if m.name == "init")
     for engine in (Reference(COUNTING, float), Engine(COUNTING, float), Patient(COUNTING, float)):
         block, thread = thread_of(COUNTING, engine, method)
-        seen = []
+        observed = []
         for _ in range(20):
             leave = engine.run(block, thread, budget, AgentLimits())
-            seen.append((leave, engine.unused_budget, bytes(block.image())))
+            observed.append((leave, engine.unused_budget, bytes(block.image())))
             if leave != BUDGET_EXHAUSTED:
                 break
-        images.append(seen)
+        images.append(observed)
     assert images[0] == images[1] == images[2]
 
 
@@ -129,18 +129,18 @@ def test_long_operations_reduce_the_number_of_instructions(body: str) -> None:
         """
     )
     method = next(i for i, m in enumerate(program.core.methods) if m.name == "run")
-    looks = count()
-    engine = Engine(program, lambda: next(looks) / 1000.0)
+    polls = count()
+    engine = Engine(program, lambda: next(polls) / 1000.0)
     block, thread = thread_of(program, engine, method, 1 << 17)
     identity = block.w[thread + THREAD_ID]
     for _ in range(40):
         engine.run(block, place_of(block, identity), 100, AgentLimits())
         collect(block, engine.layouts, 1 << 16)
     thread = place_of(block, identity)
-    before = next(looks)
+    before = next(polls)
     assert engine.run(block, thread, 100_000, AgentLimits()) is BUDGET_EXHAUSTED
     assert engine.unused_budget > 90_000
-    assert next(looks) - before <= 1000 * MAX_STRETCH_SECONDS + 3
+    assert next(polls) - before <= 1000 * MAX_STRETCH_SECONDS + 3
 
 
 @pytest.mark.parametrize(
@@ -170,16 +170,16 @@ def test_nothing_is_made_where_the_heap_ends_below_its_top(body: str, above: int
     )
     method = next(i for i, m in enumerate(program.core.methods) if m.name == "run")
     types = program.core.types
-    whole = next(i for i, t in enumerate(types) if t.kind == TYPE_OF_ARRAYS and types[t.of].kind == INT)
-    seen = []
+    index = next(i for i, t in enumerate(types) if t.kind == TYPE_OF_ARRAYS and types[t.of].kind == INT)
+    observed = []
     for engine in (Reference(program, float), Engine(program, float)):
         block, thread = thread_of(program, engine, method)
         own = block.w[block.w[thread + THREAD_FRAME] + FRAME_SLOTS]
-        block.w[own + 1] = block.allocate(ARRAY, whole, 2)
+        block.w[own + 1] = block.allocate(ARRAY, index, 2)
         block.end = block.top - above
-        seen.append((engine.run(block, thread, 100, AgentLimits()), bytes(block.image())))
-    assert seen[0] == seen[1]
-    assert isinstance(seen[0][0], UncaughtThrow if "n +" in body or "n -" in body else HeapExhausted)
+        observed.append((engine.run(block, thread, 100, AgentLimits()), bytes(block.image())))
+    assert observed[0] == observed[1]
+    assert isinstance(observed[0][0], UncaughtThrow if "n +" in body or "n -" in body else HeapExhausted)
 
 
 def test_a_few_instructions_do_not_enter_webassembly(
@@ -206,19 +206,19 @@ def test_a_few_instructions_do_not_enter_webassembly(
 
 
 def test_most_of_the_work_is_done_in_webassembly(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[int] = []
+    granted: list[int] = []
     of_reference = Reference.run
 
     def counted(self: Reference, *args: object, **options: object) -> object:
         leave = of_reference(self, *args, **options)  # type: ignore[arg-type]  # as it was called
-        given.append(args[2] - self.unused_budget)  # type: ignore[operator]  # the budget
+        granted.append(args[2] - self.unused_budget)  # type: ignore[operator]  # the budget
         return leave
 
     monkeypatch.setattr(Reference, "run", counted)
     desk, _ = machine_of(COUNTING, Engine)
     expected = sum(factorial(i % 7) if i % 3 == 0 else -1 for i in range(1000))
     assert desk.output == [str(expected)]
-    assert sum(given) < 100
+    assert sum(granted) < 100
 
 
 def test_a_block_outside_the_arena_is_run_by_the_reference_engine() -> None:

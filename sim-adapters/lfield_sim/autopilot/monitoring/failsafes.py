@@ -107,7 +107,7 @@ class Failsafes:
         delay = pilot.value(rule.late) if isinstance(rule.late, str) else rule.late
         if pilot.now - self.gcs_contact_at <= pilot.value(rule.timeout) + delay:
             return
-        if rule.stands and pilot.role in (Role.HOLD, Role.RETURN):
+        if rule.acts_disarmed and pilot.role in (Role.HOLD, Role.RETURN):
             return
         self.gcs_lost, self._is_reported_only, self._is_gcs_back = True, not action, False
         for text in (rule.lost_text, rule.unfit_text if action else ""):
@@ -115,7 +115,7 @@ class Failsafes:
                 pilot.say(text)
         if not action:
             return
-        if pilot.armed or rule.stands:
+        if pilot.armed or rule.acts_disarmed:
             self._lose_gcs(rule.actions.get(action))
         elif not rule.pause:
             pilot.critical = True
@@ -141,7 +141,7 @@ class Failsafes:
         if not lands_on and pilot.role in BY_A_PILOT and self._has_option(CONTINUE_PILOT):
             pilot.say(CONTINUES)
             return
-        pilot.say(rule.goes_on if lands_on else hold_text)
+        pilot.say(rule.continue_text if lands_on else hold_text)
         if role is not None and not lands_on:
             self._act_after(pause, role)
 

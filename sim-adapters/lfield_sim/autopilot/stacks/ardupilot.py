@@ -58,7 +58,7 @@ COPTER_FLAVOUR = Flavour(
         options="FS_OPTIONS",
         station="MAV_GCS_SYSID",
         stations_to="MAV_GCS_SYSID_HI",
-        goes_on="GCS Failsafe - Continuing Landing",
+        continue_text="GCS Failsafe - Continuing Landing",
         forbids=True,
         refusal="GCS failsafe on",
         check_period=0.3325,
@@ -96,7 +96,7 @@ COPTER_FLAVOUR = Flavour(
     # DO_ORBIT is PX4's; ArduCopter circles in its mode CIRCLE.
     unsupported=frozenset({34, 187}),
     # PING, HIGHRES_IMU, ESTIMATOR_STATUS, WIND_COV, ODOMETRY, CURRENT_MODE
-    lacks=frozenset({4, 105, 230, 231, 331, 436}),
+    unknown_messages=frozenset({4, 105, 230, 231, 331, 436}),
     sends_modes=True,
     sends_home=True,
     # TIMESYNC
@@ -129,7 +129,7 @@ ROVER_FLAVOUR = replace(
         late="FS_TIMEOUT",
         check_period=0.1,
         forbids=False,
-        stands=True,
+        acts_disarmed=True,
         enable="FS_GCS_ENABLE",
         action="FS_ACTION",
         actions={1: Role.RETURN, 2: Role.HOLD, 3: Role.RETURN, 4: Role.RETURN},

@@ -100,7 +100,7 @@ FLAVOUR = Flavour(
         436: 0.5,
     },
     # SCALED_IMU, RAW_IMU, RC_CHANNELS, FENCE_STATUS, WIND, EKF_STATUS_REPORT
-    lacks=frozenset({26, 27, 65, 162, 168, 193}),
+    unknown_messages=frozenset({26, 27, 65, 162, 168, 193}),
     unasked_only=frozenset({0, 42}),
     streamed_only=frozenset({436}),
     # GPS_GLOBAL_ORIGIN

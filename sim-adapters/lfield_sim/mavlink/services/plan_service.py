@@ -226,8 +226,8 @@ class PlanService(VehicleService):
         """Starts a mission: PX4 restarts on the ground for item 0; else 0 means continue."""
         first, pilot = command.whole(1), self.autopilot
         has_started = self._home_first or pilot.vehicle.airborne or not pilot.mission.items
-        goes_on = first < 0 or (first == 0 and has_started)
-        result = pilot.start_mission(None if goes_on else first)
+        continues = first < 0 or (first == 0 and has_started)
+        result = pilot.start_mission(None if continues else first)
         if result is MavResult.ACCEPTED:
             # A copter reports the item once more than a rover; an armed one starts the item, and reports the
             # start.

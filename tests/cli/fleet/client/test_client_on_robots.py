@@ -99,9 +99,9 @@ def assistant(lfield, alone):
     environment = {**lfield.environment, **alone}
     environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
 
-    def serve(*words):
+    def serve(*command_line):
         server = StdioServerParameters(
-            command=command, args=[*arguments, *map(str, words)], env=environment, cwd=lfield.folder
+            command=command, args=[*arguments, *map(str, command_line)], env=environment, cwd=lfield.folder
         )
 
         async def results(calls, last):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from fabric import running_router
-from loop_bench import PATIENCE
+from loop_bench import TIMEOUT
 from robots import told
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
@@ -32,16 +32,16 @@ def test_a_bundle_is_pushed_and_started_over_a_restarted_router(lfield, robots, 
     assert (pushed["outcome"], pushed["votes"]) == ("activated", {"alpha": "yes", "bravo": "yes"})
     router.kill()
     router.start()
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT
     hosts: set[bytes] = set()
-    began = lfield.start("start", "--json")
+    started = lfield.start("start", "--json")
     # The hosts may have ended before the command has.
-    while not hosts or began.popen.poll() != 0:
+    while not hosts or started.popen.poll() != 0:
         hosts |= {each for each in command_lines() if b"lfield\0up\0" in each}
-        assert time.monotonic() < end, began.said
-        if began.popen.poll():
+        assert time.monotonic() < end, started.said
+        if started.popen.poll():
             # The services reconnect to the router automatically.
-            began = lfield.start("start", "--json")
+            started = lfield.start("start", "--json")
         time.sleep(0.05)
     team.services["bravo"].wait_for("^visit 1$")
     # Other users read command lines, and the section may have a password.

@@ -24,8 +24,8 @@ def test_a_push_waits_for_a_service_that_restarts(lfield, here, robots, monkeypa
     restart = threading.Timer(1.0, lambda: team.up("bravo"))
     upload = push._upload_all
 
-    async def upload_and_kill(*words):
-        results = await upload(*words)
+    async def upload_and_kill(*arguments):
+        results = await upload(*arguments)
         team.kill("bravo")
         restart.start()
         return results

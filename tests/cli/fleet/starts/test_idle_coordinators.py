@@ -17,9 +17,9 @@ def test_a_start_without_the_home_of_the_only_coordinator_reports_idle(lfield, h
     team.up()
     team.mission()
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
-    began = here("start", "--without", "alpha", "--json")
-    assert (began.status, told(began)["started"]) == (1, False)
-    assert "tom" in told(began)["waits"]["alpha"]
+    started = here("start", "--without", "alpha", "--json")
+    assert (started.status, told(started)["started"]) == (1, False)
+    assert "tom" in told(started)["waits"]["alpha"]
     # The remedy of the message.
     here("start", status=0)
 
@@ -40,10 +40,10 @@ def test_a_start_with_a_parked_coordinator_reports_idle_and_the_remedy(lfield, h
         (file,) = lfield.folder.glob(f"state-{host}/lfield-*/service/state.json")
         file.write_text(json.dumps(team.state(host)).replace(encoded(old), encoded(new)))
     team.up()
-    began = here("start", "--json")
-    assert (began.status, told(began)["started"], told(began)["continues"]) == (1, False, [])
-    (host,) = told(began)["waits"]
-    assert "tom" in told(began)["waits"][host]
+    started = here("start", "--json")
+    assert (started.status, told(started)["started"], told(started)["continues"]) == (1, False, [])
+    (host,) = told(started)["waits"]
+    assert "tom" in told(started)["waits"][host]
     assert any(line.startswith(f"{host}: coordinator tom is parked") for line in here("status").out)
     here("stop", "--discard", status=0)
     here("start", status=0)

@@ -19,13 +19,13 @@ def test_a_robot_outside_the_mission_is_ignored_by_start_status_and_rollback(lfi
     assert first["outcome"] == "activated"
     assert not any("differ" in line for line in here("status").out)
 
-    began = here("start", "--json")
-    assert (began.status, told(began)["started"]) == (0, True)
+    started = here("start", "--json")
+    assert (started.status, told(started)["started"]) == (0, True)
     assert told(here("status", "--json"))["carol"]["run"]["phase"] == "stopped"
     here("stop", "--discard", status=0)
     # Its omission makes no difference.
-    began = here("start", "--without", "carol", "--json")
-    assert (began.status, told(began)["started"]) == (0, True)
+    started = here("start", "--without", "carol", "--json")
+    assert (started.status, told(started)["started"]) == (0, True)
     here("stop", "--discard", status=0)
 
     team.mission(text="call")
@@ -53,7 +53,7 @@ def test_start_asks_for_robots_or_mission_if_a_local_mission_runs_too(lfield, he
     refused = here("start", status=64)
     assert str(team.inventory) in refused.err[0]
     here("start", "other.dL", status=0)
-    began = here("start", "--inventory", team.inventory, "--json")
-    assert (began.status, told(began)["started"]) == (0, True)
+    started = here("start", "--inventory", team.inventory, "--json")
+    assert (started.status, told(started)["started"]) == (0, True)
     running.signal(signal.SIGINT)
     running.wait()

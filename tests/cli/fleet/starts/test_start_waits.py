@@ -29,9 +29,9 @@ def test_a_start_reports_why_a_host_ends_repeatedly(lfield, here, robots) -> Non
     team.up()
     lfield.mission(PROGRAM, TEAM, DEVICES)
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
-    began = here("start", "--json")
-    assert (began.status, told(began)["started"]) == (1, False)
-    assert "/dev/ttyNONE" in told(began)["waits"]["alpha"]
+    started = here("start", "--json")
+    assert (started.status, told(started)["started"]) == (1, False)
+    assert "/dev/ttyNONE" in told(started)["waits"]["alpha"]
     # The reason is shown at any time, also while the next attempt starts.
     end = time.monotonic() + 3.0
     while time.monotonic() < end:

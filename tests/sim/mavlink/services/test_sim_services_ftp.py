@@ -52,13 +52,13 @@ class Client:
         assert (reply.number, reply.request_opcode) == (request.number + 1, request.opcode)
         return reply
 
-    def refused(self, *words, **options):
-        reply = self.ask(*words, **options)
+    def refused(self, *arguments, **options):
+        reply = self.ask(*arguments, **options)
         assert reply.opcode == NAK
         return FtpError(reply.data[0])
 
-    def ok(self, *words, **options):
-        reply = self.ask(*words, **options)
+    def ok(self, *arguments, **options):
+        reply = self.ask(*arguments, **options)
         assert reply.opcode == ACK, reply
         return reply
 
@@ -228,8 +228,8 @@ def test_file_is_renamed():
 
 
 def test_generated_file_reports_another_size_and_checksum():
-    made = GeneratedFile(lambda: b"12345", lambda: 999, checks=False)
-    c = Client(FtpServer(FileTree({}, {"@PARAM/x": made}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
+    generated = GeneratedFile(lambda: b"12345", lambda: 999, checks=False)
+    c = Client(FtpServer(FileTree({}, {"@PARAM/x": generated}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
     assert c.listing("@PARAM/") == ["Fx\t999"]
     opened = c.ok(FtpOpcode.OPEN_READ, "@PARAM/x")
     assert struct.unpack("<I", opened.data) == (999,)
@@ -303,14 +303,14 @@ requests = st.builds(
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 40), requests), max_size=30))
-def test_arbitrary_requests_do_not_raise_and_use_bounded_memory(story):
+def test_arbitrary_requests_do_not_raise_and_use_bounded_memory(scenario):
     server = FtpServer(
         FileTree(
             {"/a/log.bin": LOG, "/b.txt": b""},
             {"@PARAM/param.pck": GeneratedFile(lambda: b"x" * 999, lambda: 9)},
         )
     )
-    for system, request in story:
+    for system, request in scenario:
         replies = server.receive((system, 1), request.write())
         assert len(replies) <= 1
         server.advance()

@@ -99,10 +99,10 @@ def test_uploaded_plan_is_downloaded(style, kind):
 
 
 def test_each_autopilot_requests_items_with_its_own_message():
-    (asked,) = Station(ARDUPILOT).count(2)
-    assert asked.get_type() == "MISSION_REQUEST"
-    (asked,) = Station(PX4).count(2)
-    assert asked.get_type() == "MISSION_REQUEST_INT"
+    (request,) = Station(ARDUPILOT).count(2)
+    assert request.get_type() == "MISSION_REQUEST"
+    (request,) = Station(PX4).count(2)
+    assert request.get_type() == "MISSION_REQUEST_INT"
 
 
 def test_items_in_degrees_are_uploaded_and_downloaded(style):
@@ -137,14 +137,14 @@ def test_missing_item_is_requested_again_until_a_timeout(style):
 
 def test_failed_upload_leaves_a_mixture_on_ardupilot_only():
     old = [waypoint(900 + n) for n in range(5)]
-    for style, kept in ((ARDUPILOT, [waypoint(0), *old[1:3]]), (PX4, old)):
+    for style, items in ((ARDUPILOT, [waypoint(0), *old[1:3]]), (PX4, old)):
         s = Station(style)
         s.upload(old)
         s.count(3)
         s.item(0, waypoint(0))
         s.wait(20.0)
-        assert s.vehicle.items[PlanType.MISSION] == kept
-        assert len(s.download()) == len(kept)
+        assert s.vehicle.items[PlanType.MISSION] == items
+        assert len(s.download()) == len(items)
         s.count(7)
         for number in range(4):
             s.item(number, waypoint(number))
@@ -316,9 +316,9 @@ messages = st.one_of(
 
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from([ARDUPILOT, PX4]), st.lists(st.tuples(st.integers(1, 9), messages), max_size=20))
-def test_random_mission_messages_do_not_raise(style, story):
+def test_random_mission_messages_do_not_raise(style, scenario):
     s = Station(style)
-    for system, message in story:
+    for system, message in scenario:
         s.system = system
         s.send(message)
         for answer in s.wait(0.5, step=0.5):
@@ -347,10 +347,10 @@ def test_upload_over_a_lossy_link_leaves_no_wrong_mission(style, size, data):
             break
     else:
         pytest.fail("the upload neither ended nor timed out")
-    kept = s.vehicle.items[PlanType.MISSION]
+    items = s.vehicle.items[PlanType.MISSION]
     mixed = [new[:n] + old[:size][n:] for n in range(size + 1)] if style.writes_at_once else []
-    assert kept in (old, new, *mixed)
-    assert result != PlanResult.ACCEPTED or kept == new
+    assert items in (old, new, *mixed)
+    assert result != PlanResult.ACCEPTED or items == new
 
 
 def test_every_message_of_the_mission_protocol_has_a_handler():

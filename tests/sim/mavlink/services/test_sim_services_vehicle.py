@@ -186,8 +186,8 @@ def test_item_height_is_converted_in_every_frame(frame, z):
 
 def test_zero_coordinates_mean_here_and_takeoff_keeps_its_height():
     c = Craft(PlanService, "px4")
-    nowhere = [PlanItem(WAYPOINT, 6, (0, 0, 0, 0), 0, 0, 9.0), PlanItem(TAKEOFF, 6, (0, 0, 0, 0), 0, 0, 9.0)]
-    c.upload([*nowhere, PlanItem(SPEED, 2, (1, 3.0, -1, 0))])
+    items = [PlanItem(WAYPOINT, 6, (0, 0, 0, 0), 0, 0, 9.0), PlanItem(TAKEOFF, 6, (0, 0, 0, 0), 0, 0, 9.0)]
+    c.upload([*items, PlanItem(SPEED, 2, (1, 3.0, -1, 0))])
     here, up, speed = c.pilot.mission.items
     assert (here.place, speed.place) == (None, None)
     assert up.place[2] == -9.0
@@ -321,8 +321,8 @@ def test_nan_parameter_is_accepted_only_by_px4():
 
 def test_ardupilot_answers_by_name_without_index_and_delayed():
     c = Craft(ParameterService)
-    asked = dialect.MAVLink_param_request_read_message(1, 1, b"FS_GCS_ENABLE", -1)
-    assert c.send(asked) == []
+    request = dialect.MAVLink_param_request_read_message(1, 1, b"FS_GCS_ENABLE", -1)
+    assert c.send(request) == []
     assert c.wait(0.08) == []
     (answer,) = c.wait(0.06)
     assert (answer.param_id, answer.param_index) == ("FS_GCS_ENABLE", 65535)

@@ -124,14 +124,16 @@ class BlockChecks:
     def _on_crew_output(
         self, host: str, agent: Agent, what: str, key: tuple[str, int], more: list[str]
     ) -> None:
-        (who, number), start = key, agent.generation
+        (agent_id, number), start = key, agent.generation
         # A later start has not opened its blocks before.
-        if not self._observe_start(who, start, number - 1 if what == "opens" else number):
+        if not self._observe_start(agent_id, start, number - 1 if what == "opens" else number):
             return
         if what == "told" or more[0] == "restarted":
-            self._durable.add((who, start))
-        elif is_recovery(start) and (who, start) not in self._durable:
-            found = f"start {start} of {who} {what} block {number}, and was not told that it is recovered"
+            self._durable.add((agent_id, start))
+        elif is_recovery(start) and (agent_id, start) not in self._durable:
+            found = (
+                f"start {start} of {agent_id} {what} block {number}, and was not told that it is recovered"
+            )
             self._breaches.add("I4", (host,), found)
         if what == "opens":
             self._blocks[key].limit = float(more[0])
@@ -139,7 +141,7 @@ class BlockChecks:
             self._closes(host, agent, key, more[0], more[1:])
 
     def _closes(self, host: str, agent: Agent, key: tuple[str, int], how: str, given: list[str]) -> None:
-        block, (who, number) = self._blocks[key], key
+        block, (agent_id, number) = self._blocks[key], key
         block.how = how
         self.closed[agent.id] += 1
         self.restarts += how == "restarted"
@@ -147,34 +149,34 @@ class BlockChecks:
             self._check_winner(host, key, given)
         if how != "came-back":
             return
-        wanted = [str(10 * number + piece) for piece in range(len(given))]
-        if given != wanted:
-            found = f"block {number} of {who} came back with {' '.join(given)}, not {' '.join(wanted)}"
+        expected = [str(10 * number + piece) for piece in range(len(given))]
+        if given != expected:
+            found = f"block {number} of {agent_id} came back with {' '.join(given)}, not {' '.join(expected)}"
             self._breaches.add("I4", (host,), found)
         for piece in range(len(given)):
             if not block.pieces[piece].given:
-                found = f"block {number} of {who} came back, and piece {piece} has not come to its end"
+                found = f"block {number} of {agent_id} came back, and piece {piece} has not come to its end"
                 self._breaches.add("I4", (host,), found)
 
     def _check_winner(self, host: str, key: tuple[str, int], given: list[str]) -> None:
         """A racer has the result of one piece, which has ended."""
-        block, (who, number) = self._blocks[key], key
+        block, (agent_id, number) = self._blocks[key], key
         won = [piece for piece, result in enumerate(given) if result != "-1"]
         if [given[piece] for piece in won] != [str(10 * number + piece) for piece in won] or len(won) != 1:
-            self._breaches.add("I4", (host,), f"block {number} of {who} was won with {' '.join(given)}")
+            self._breaches.add("I4", (host,), f"block {number} of {agent_id} was won with {' '.join(given)}")
         elif not block.pieces[won[0]].given:
-            found = f"block {number} of {who} was won by piece {won[0]}, which has not come to its end"
+            found = f"block {number} of {agent_id} was won by piece {won[0]}, which has not come to its end"
             self._breaches.add("I4", (host,), found)
 
     # --- output of resources --------------------------------------------------------------------------
 
     def _sets(self, life: HostRun, resource: Agent, key: tuple[str, int], number: int) -> None:
         self.started += 1
-        (who, block), host = key, life.core.name
-        name = who.partition(".")[0]
+        (agent_id, block), host = key, life.core.name
+        name = agent_id.partition(".")[0]
         generation, what = (
             max(_callers(life, resource, name), default=0),
-            f"piece {number} of block {block} of {who}",
+            f"piece {number} of block {block} of {agent_id}",
         )
         if not generation:
             # The caller was detached before the first line of the portal.
@@ -183,7 +185,7 @@ class BlockChecks:
         if generation < self._newest_at(name, self._now()):
             self._breaches.add("I1", (host,), f"{what} began for start {generation}; a later goes on")
             return
-        self._observe_start(who, generation, block)
+        self._observe_start(agent_id, generation, block)
         piece = self._blocks[key].pieces[number]
         piece.starts, piece.at, piece.generation = piece.starts + 1, self._now(), generation
         if piece.starts > 1:

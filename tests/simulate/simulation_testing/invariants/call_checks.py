@@ -51,29 +51,29 @@ class CallChecks:
         """Handle the output of a program: a word, a life of a coordinator, the number of a call."""
         host = life.core.name
         for line in text.splitlines():
-            word, who, *more = line.split()
+            word, caller, *more = line.split()
             if word == "begin":
-                self._on_start(life, agent, who, int(more[0]))
-            elif word == "end" or self._is_old(agent, who):
+                self._on_start(life, agent, caller, int(more[0]))
+            elif word == "end" or self._is_old(agent, caller):
                 continue
             elif word == "over":
                 self.over.add(agent.id)
             elif word == "born":
-                self._lives[agent.id].add(who)
+                self._lives[agent.id].add(caller)
             elif word == "restarted":
-                self._restarted(host, agent, who, int(more[0]), " ".join(more))
+                self._restarted(host, agent, caller, int(more[0]), " ".join(more))
             else:
-                self._on_outcome(host, agent, who, int(more[0]), word)
+                self._on_outcome(host, agent, caller, int(more[0]), word)
 
     def has_any(self, agent: str, generation: int) -> bool:
         """Whether a start of an agent has begun a call."""
-        lives = (who for who in self._lives[agent] if self._at[who] == generation)
-        return any(call.starts for who in lives for call in self._calls[who].values())
+        lives = (life for life in self._lives[agent] if self._at[life] == generation)
+        return any(call.starts for life in lives for call in self._calls[life].values())
 
     def on_resumed_from_disk(self, agent: str) -> None:
         """A coordinator continues from a disk; the failures of calls that were reported to it may be lost."""
-        for who in self._lives[agent]:
-            for call in self._calls[who].values():
+        for life in self._lives[agent]:
+            for call in self._calls[life].values():
                 if call.outcome == "failed":
                     call.outcome = "forgotten"
 

@@ -36,10 +36,10 @@ class DeviceUse:
         """Check one device."""
         if len(hardware.owners) > 1:
             self._breaches.add("device", (), f"{name} has {len(hardware.owners)} owners")
-        for told in hardware.record[self._checked.get(name, 0) :]:
-            self._moves_since[name] = told.at
-            if told.what == "setVelocity":
-                self._actuates(name, told)
+        for command in hardware.record[self._checked.get(name, 0) :]:
+            self._moves_since[name] = command.at
+            if command.what == "setVelocity":
+                self._actuates(name, command)
         self._checked[name] = len(hardware.record)
         if not hardware.is_moving:
             self._moves_since[name] = now

@@ -64,7 +64,7 @@ class OrderChecks:
 
     def is_given_up(self, agent: str, start: int) -> bool:
         """Whether an operator has declared this start of a coordinator lost."""
-        return any(who == agent and start <= last for (_, who), last in self._given_up.items())
+        return any(name == agent and start <= last for (_, name), last in self._given_up.items())
 
     # --- lives of hosts -------------------------------------------------------------------------------
 
@@ -103,9 +103,10 @@ class OrderChecks:
             held = self._held.get((hold, host))
             if held is None or name not in held.devices:
                 continue
-            for told in hardware.record[since:]:
-                if told.at > held.since and not told.safe:
-                    found = f"{name} is commanded to {told.what} at {told.at:.3f} s, after a confirmed {hold}"
+            for command in hardware.record[since:]:
+                if command.at > held.since and not command.safe:
+                    order = f"{command.what} at {command.at:.3f} s"
+                    found = f"{name} is commanded to {order}, after a confirmed {hold}"
                     self._breaches.add(hold, (host,), found)
             if hardware.is_moving and not hardware.record[-1].safe:
                 self._breaches.add(hold, (host,), f"{name} moves after a confirmed {hold}")

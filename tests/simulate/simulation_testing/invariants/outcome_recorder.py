@@ -117,9 +117,9 @@ def _without_message(line: str) -> str:
 
 def _commands(fleet: Fleet) -> list[str]:
     return [
-        f"{_seconds(told.at)} {name} {told.what} {told.arguments} {told.safe}"
+        f"{_seconds(command.at)} {name} {command.what} {command.arguments} {command.safe}"
         for name, hardware in sorted(fleet.hardware.items())
-        for told in hardware.record
+        for command in hardware.record
     ]
 
 

@@ -98,8 +98,8 @@ class ReservationChecks:
             )
             self._breaches.add("number", host, found)
         pages = self._pages(life.core.name)
-        kept = ReservationRecord(resource.id, number, *start)
-        if pages is not None and kept not in pages:
+        record = ReservationRecord(resource.id, number, *start)
+        if pages is not None and record not in pages:
             found = f"{agent.id} is told that it has {resource.id} by {number}, and that is on no disk"
             self._breaches.add("given", host, found)
         if self._is_alone(life, known, start):

@@ -150,9 +150,9 @@ class RunJudge:
     def _again(self, life: HostRun, agent: Agent, newest: int) -> None:
         """Check a repeated number: it is permitted if the start had made no call, or is inactive."""
         before = self._starts.get(start := (agent.id, agent.generation))
-        begun = any(of(*start) for of in (self._calls.has_any, self._blocks.has_any, self.reserved.has_any))
+        busy = any(of(*start) for of in (self._calls.has_any, self._blocks.has_any, self.reserved.has_any))
         moved = before and any(other.core.name != life.core.name for other in before.knew)
-        if before and self.fleet.options.keeps and not moved and not begun:
+        if before and self.fleet.options.keeps and not moved and not busy:
             return
         if self._keeps_memory(life.core.name) or self._known(agent, life.core.name):
             found = f"{agent.id} was started as {agent.generation}, which is not above {newest}"
@@ -162,14 +162,14 @@ class RunJudge:
     def _known(self, agent: Agent, home: str) -> bool:
         """Whether another running host has had this start, or one with a higher number."""
         own = (s for (who, start), s in self._starts.items() if who == agent.id and start >= agent.generation)
-        knew = {life for seen in own for life in seen.knew}
+        knew = {life for row in own for life in row.knew}
         return any(not life.process.loop.dead and life.core.name != home for life in knew)
 
     def on_transfer(self, life: HostRun, header: Transfer) -> None:
         """A coordinator has arrived at a host, which knows that start from now on."""
-        seen = self._starts.get((header.agent, header.generation))
-        if seen is not None and header.receiver_memory == life.core.hello().state_id:
-            seen.knew.add(life)
+        row = self._starts.get((header.agent, header.generation))
+        if row is not None and header.receiver_memory == life.core.hello().state_id:
+            row.knew.add(life)
 
     def on_admitted(self, life: HostRun, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into a machine."""
@@ -181,8 +181,8 @@ class RunJudge:
             self._injected.add(transfer)
         before = dict(self._starts[transfer[:2]].places) if transfer[:2] in self._starts else {}
         self._held(life, agent)
-        seen = self._starts[transfer[:2]]
-        seen.places, seen.unsaved = before | seen.places, life.core.name
+        row = self._starts[transfer[:2]]
+        row.places, row.unsaved = before | row.places, life.core.name
 
     def on_restored(self, life: HostRun, agent: Agent) -> None:
         """A host has found a coordinator on its own disk."""
@@ -201,11 +201,11 @@ class RunJudge:
         self._held(life, agent)
 
     def _held(self, life: HostRun, agent: Agent) -> None:
-        seen = self._starts.setdefault((agent.id, agent.generation), _StartRecord(self.fleet.now))
+        row = self._starts.setdefault((agent.id, agent.generation), _StartRecord(self.fleet.now))
         self._observe_recovery(agent)
-        seen.holders, seen.copy = {life}, agent
-        seen.knew.add(life)
-        seen.places, seen.unsaved = {life.core.name: life.host.journal_writer.journal_id}, ""
+        row.holders, row.copy = {life}, agent
+        row.knew.add(life)
+        row.places, row.unsaved = {life.core.name: life.host.journal_writer.journal_id}, ""
         if all(agent is not other for other in self._agents[life]):
             self._agents[life].append(agent)
         self._check_host(life)
@@ -218,12 +218,12 @@ class RunJudge:
 
     def on_sent(self, life: HostRun, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent: the receiver may have it now."""
-        receiver, seen = self._lives.get(incarnation), self._starts.get((header.agent, header.generation))
+        receiver, row = self._lives.get(incarnation), self._starts.get((header.agent, header.generation))
         self._continues_from_disk(life, (header.agent, header.generation))
-        if seen is not None:
-            seen.places[target] = header.receiver_memory
-        if seen is not None and receiver is not None:
-            seen.holders.add(receiver)
+        if row is not None:
+            row.places[target] = header.receiver_memory
+        if row is not None and receiver is not None:
+            row.holders.add(receiver)
 
     def _keeps_memory(self, name: str) -> bool:
         """Whether a host has always had one memory."""
@@ -295,30 +295,28 @@ class RunJudge:
     def _disks(self) -> None:
         latest = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
         going = [(agent, start) for agent, start in latest if not self.orders.is_given_up(agent, start)]
-        kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.records()]
-        for name, page in kept:
+        records = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.records()]
+        for name, page in records:
             self._is_saved(name, page)
-        self._blocks.check_disks(kept)
-        barred = {(page.agent, page.generation) for _, page in kept if isinstance(page, FenceRecord)}
+        self._blocks.check_disks(records)
+        barred = {(page.agent, page.generation) for _, page in records if isinstance(page, FenceRecord)}
         safe = [(a, s) for a, s in going if s and not any(a == b and s < g for b, g in barred)]
         identities = {name: disk.identity for name, disk in self.fleet.disks.items()}
-        self._results.check(kept, identities, [start for start in safe if not self._in_doubt(start)])
-        pages = (page for _, page in kept)
+        self._results.check(records, identities, [start for start in safe if not self._in_doubt(start)])
+        pages = (page for _, page in records)
         for agent, start in unsaved_starts(pages, [(agent, start) for agent, start in going if start]):
             if not self._in_doubt((agent, start)):
                 self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
 
     def _is_saved(self, name: str, page: Record) -> None:
         """True if any disk has the start; the sender may delete it once it is durable at the receiver."""
-        seen = (
-            self._starts.get((page.agent, page.generation)) if isinstance(page, CoordinatorRecord) else None
-        )
-        if seen and seen.unsaved == name and isinstance(page, CoordinatorRecord) and page.state == "RUN":
-            seen.places, seen.unsaved = {name: seen.places[name]}, ""
+        row = self._starts.get((page.agent, page.generation)) if isinstance(page, CoordinatorRecord) else None
+        if row and row.unsaved == name and isinstance(page, CoordinatorRecord) and page.state == "RUN":
+            row.places, row.unsaved = {name: row.places[name]}, ""
 
     def _latest(self, agent: str) -> int:
         """The latest start that is not superseded, 0 if all are."""
-        starts = (s for s, seen in self._starts.items() if s[0] == agent and not seen.was_superseded)
+        starts = (s for s, row in self._starts.items() if s[0] == agent and not row.was_superseded)
         return max((generation for _, generation in starts), default=0)
 
     def _in_doubt(self, start: Start) -> bool:
@@ -339,7 +337,7 @@ class RunJudge:
             self._breach("bug", (host,), text.strip())
         agent, lost, _ = text.partition(AGENT_LOST.line(agent="", reason=""))
         if lost:
-            old = [s for s, seen in self._starts.items() if s[0] == agent and at - seen.first > MIN_KNOWN_AGE]
+            old = [s for s, row in self._starts.items() if s[0] == agent and at - row.first > MIN_KNOWN_AGE]
             for start in old:
                 running = {life for life in self._starts[start].running if not life.process.loop.dead}
                 if running:
@@ -388,13 +386,13 @@ class RunJudge:
     def end(self) -> None:
         """The end of the run: a coordinator without progress is stuck."""
         for agent in self.waits_for():
-            holders = [seen.holders for start, seen in self._starts.items() if start[0] == agent]
+            holders = [row.holders for start, row in self._starts.items() if start[0] == agent]
             hosts = {life.core.name for some in holders for life in some}
             lines = (text.strip() for _, _, text in self.fleet.log if agent in text)
-            told = [
+            last_said = [
                 f"; last was said: {text.splitlines()[0]}" for text in lines if "." not in text.split()[0]
             ]
-            last = told[-1] if told else ""
+            last = last_said[-1] if last_said else ""
             self._breach("stuck", tuple(sorted(hosts)), f"{agent} does not go on after the weather{last}")
         for name in sorted(self.fleet.failed):
             self._breach("host", (name,), "it has failed")

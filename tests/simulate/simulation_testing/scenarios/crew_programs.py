@@ -13,7 +13,7 @@ PIECES = 3
 #: others.
 LONG, UNLIMITED, SHORT = 25.0, 8.0, 0.6
 
-_STORY = """
+_SCENARIO = """
 resource Post {
     init(string[] arg) { }
     portal work(string life, int number, int piece, real seconds) emit int {
@@ -88,7 +88,7 @@ _TOGETHER = """together {
                     }"""
 
 
-def story_program(block: str, how: str, first: str = "", methods: str = "") -> str:
+def scenario_program(block: str, how: str, first: str = "", methods: str = "") -> str:
     """The program of a scenario.
 
     `block` is the code of a coordinator in a block, after `first`, and `how` its outcome unless the code sets
@@ -96,13 +96,13 @@ def story_program(block: str, how: str, first: str = "", methods: str = "") -> s
     """
     parts = {"BLOCK": block, "HOW": how, "FIRST": first, "METHODS": methods}
     numbers = {"PIECES": PIECES, "UNLIMITED": UNLIMITED, "LONG": LONG, "SHORT": SHORT}
-    program = _STORY
+    program = _SCENARIO
     for name, value in (parts | numbers).items():
         program = program.replace(name, str(value))
     return program
 
 
-PROGRAM = story_program(_TOGETHER, "came-back", "            int first = random(posts.length());\n")
+PROGRAM = scenario_program(_TOGETHER, "came-back", "            int first = random(posts.length());\n")
 #: Racers start calls of several resources and fetch them later, or the first result. They report like a crew,
 #: and `won` with the number of the piece of the first result.
 _RUN = """
@@ -132,6 +132,6 @@ _RUN = """
         return "came-back";
     }
 """
-RACER_PROGRAM = story_program(
+RACER_PROGRAM = scenario_program(
     "how = run(posts, life, number, got, most);", "", methods=_RUN.removeprefix("\n")
 )

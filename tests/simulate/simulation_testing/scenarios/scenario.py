@@ -192,31 +192,31 @@ class Scenario:
 
 def plain(seed: int) -> Scenario:
     """A scenario of coordinators that wait for their hosts, or are lost with them."""
-    dice = random.Random(f"story {seed}")
-    hosts = dice.choice((3, 3, 3, 4, 4, 5, 6, 7))
-    ends = dice.random() < 0.25
-    arms = dice.choice((0, 0, 0, 1, 1, 2))
+    rng = random.Random(f"story {seed}")
+    hosts = rng.choice((3, 3, 3, 4, 4, 5, 6, 7))
+    ends = rng.random() < 0.25
+    arms = rng.choice((0, 0, 0, 1, 1, 2))
     means = {
-        kind: dice.uniform(*BETWEEN)
+        kind: rng.uniform(*BETWEEN)
         for kind in USUAL
-        if dice.random() < LIKELY and (arms or not kind.startswith("guard"))
+        if rng.random() < LIKELY and (arms or not kind.startswith("guard"))
     }
-    seconds = dice.uniform(4.0, 10.0)
+    seconds = rng.uniform(4.0, 10.0)
     return Scenario(
         seed,
         hosts,
         seconds,
         hosts,
-        dice.randint(1, 3),
+        rng.randint(1, 3),
         arms,
-        dice.choice((6, 12)) if ends else FOR_EVER,
-        dice.choice((0.04, 1.0)),
+        rng.choice((6, 12)) if ends else FOR_EVER,
+        rng.choice((0.04, 1.0)),
         seconds,
-        dice.choice((0.5, 1.5, 3.0, 5.0)),
-        dice.uniform(2.0, 5.0) if ends else None,
+        rng.choice((0.5, 1.5, 3.0, 5.0)),
+        rng.uniform(2.0, 5.0) if ends else None,
         means,
-        dice.random() < KEEP,
-        dice.choice(DISKS),
+        rng.random() < KEEP,
+        rng.choice(DISKS),
     )
 
 
@@ -227,43 +227,43 @@ def forgetful(seed: int) -> Scenario:
 
 def fenced(seed: int) -> Scenario:
     """A scenario of coordinators that a majority may recover."""
-    story, dice = replace(plain(seed), journals=True), random.Random(f"recovered {seed}")
-    means = {kind: mean for kind, mean in story.means.items() if kind not in NOT_FENCED}
-    means |= {kind: dice.uniform(*BETWEEN) for kind in DOUBTS if dice.random() < LIKELY_DOUBT}
-    lease = dice.choice(LEASES)
-    seconds = story.weather + LONGER + lease
-    story = replace(
-        story,
+    scenario, rng = replace(plain(seed), journals=True), random.Random(f"recovered {seed}")
+    means = {kind: mean for kind, mean in scenario.means.items() if kind not in NOT_FENCED}
+    means |= {kind: rng.uniform(*BETWEEN) for kind in DOUBTS if rng.random() < LIKELY_DOUBT}
+    lease = rng.choice(LEASES)
+    seconds = scenario.weather + LONGER + lease
+    scenario = replace(
+        scenario,
         kind="fenced",
         weather=seconds,
         seconds=seconds,
         lost_after=None,
-        stay=dice.choice((0.04, 0.04, 0.04, 1.0)),
-        interval=dice.choice(INTERVALS),
-        stays=dice.choice(STAYS_ON),
+        stay=rng.choice((0.04, 0.04, 0.04, 1.0)),
+        interval=rng.choice(INTERVALS),
+        stays=rng.choice(STAYS_ON),
         lease=lease,
-        witnesses=dice.choice((0, 1)),
+        witnesses=rng.choice((0, 1)),
     )
-    swaps = {"swap": dice.uniform(*OFTEN)} if dice.random() < LIKELY else {}
-    return replace(story, means=means | swaps)
+    swaps = {"swap": rng.uniform(*OFTEN)} if rng.random() < LIKELY else {}
+    return replace(scenario, means=means | swaps)
 
 
 def doubted(seed: int) -> Scenario:
     """A scenario of a small team in which hosts often suspect live ones, whose coordinators continue."""
-    story, dice = fenced(seed), random.Random(f"doubted {seed}")
-    seconds = DOUBTED + 2.0 * story.lease
+    scenario, rng = fenced(seed), random.Random(f"doubted {seed}")
+    seconds = DOUBTED + 2.0 * scenario.lease
     return replace(
-        story,
+        scenario,
         kind="doubted",
         cast=3,
         hosts=3,
-        arms=min(story.arms, 1),
+        arms=min(scenario.arms, 1),
         witnesses=0,
         calls=FOR_EVER,
         stay=0.04,
         interval=1.0,
         stays=STAYS_ON[-1],
-        means={kind: dice.uniform(*OFTEN) for kind in DOUBTS},
+        means={kind: rng.uniform(*OFTEN) for kind in DOUBTS},
         weather=seconds,
         seconds=seconds,
     )
@@ -284,45 +284,45 @@ def ending(seed: int) -> Scenario:
     A link is cut shortly before the likely termination of the first coordinator, for the time of a recovery;
     sometimes all other links of that host are cut for the time of a promise.
     """
-    story, dice = doubted(seed), random.Random(f"ending {seed}")
-    hosts = dice.choice((3, 3, 4, 5))
+    scenario, rng = doubted(seed), random.Random(f"ending {seed}")
+    hosts = rng.choice((3, 3, 4, 5))
     more = (*DOUBTS[1:], "power", "disk_slow")
-    kinds = ["cut", *(kind for kind in more if dice.random() < LIKELY)]
-    calls, stay = dice.randint(1, 8), dice.choice((0.04, 1.0))
-    one, other = dice.sample([f"h{n}" for n in range(hosts)], 2)
-    at = max(0.1, START_TIME + calls * (stay + BETWEEN_CALLS) - dice.uniform(0.0, 1.0))
-    lasts = RECOVERS_WITHIN * story.lease + dice.uniform(1.0, 6.0)
+    kinds = ["cut", *(kind for kind in more if rng.random() < LIKELY)]
+    calls, stay = rng.randint(1, 8), rng.choice((0.04, 1.0))
+    one, other = rng.sample([f"h{n}" for n in range(hosts)], 2)
+    at = max(0.1, START_TIME + calls * (stay + BETWEEN_CALLS) - rng.uniform(0.0, 1.0))
+    lasts = RECOVERS_WITHIN * scenario.lease + rng.uniform(1.0, 6.0)
     aimed = [Fault(at, "cut", one, other, lasts, 1.0)]
-    if dice.random() < LIKELY:
-        brief = story.interval + story.lease * dice.uniform(1.0, 2.5)
+    if rng.random() < LIKELY:
+        brief = scenario.interval + scenario.lease * rng.uniform(1.0, 2.5)
         others = (f"h{n}" for n in range(hosts))
         aimed += [Fault(at, "cut", one, far, brief, 1.0) for far in others if far not in (one, other)]
     return replace(
-        story,
+        scenario,
         kind="ending",
         cast=hosts,
         hosts=hosts,
-        witnesses=dice.choice((0, 1)),
+        witnesses=rng.choice((0, 1)),
         calls=calls,
         stay=stay,
         stays=STAYS,
-        means={kind: dice.uniform(0.5, 5.0) for kind in kinds},
+        means={kind: rng.uniform(0.5, 5.0) for kind in kinds},
         aimed=tuple(aimed),
-        weather=max(story.weather, at + lasts),
-        seconds=max(story.seconds, at + lasts),
+        weather=max(scenario.weather, at + lasts),
+        seconds=max(scenario.seconds, at + lasts),
     )
 
 
 def crew(seed: int) -> Scenario:
     """A scenario of coordinators with concurrent calls; a majority may recover some of them."""
-    dice = random.Random(f"crew {seed}")
-    story = dice.choice((plain, fenced, doubted))(seed)
-    means = {kind: mean for kind, mean in story.means.items() if not kind.startswith("guard")}
+    rng = random.Random(f"crew {seed}")
+    scenario = rng.choice((plain, fenced, doubted))(seed)
+    means = {kind: mean for kind, mean in scenario.means.items() if not kind.startswith("guard")}
     return replace(
-        story,
+        scenario,
         kind="crew",
         means=means,
-        walkers=min(story.walkers, 2),
+        walkers=min(scenario.walkers, 2),
         arms=0,
         calls=FOR_EVER,
         lost_after=None,
@@ -340,15 +340,15 @@ def keeper(seed: int) -> Scenario:
 
     No clock in it is worse than leases allow for.
     """
-    dice, story = random.Random(f"keeper {seed}"), crew(seed)
-    means = {kind: mean for kind, mean in story.means.items() if kind != "race"}
+    rng, scenario = random.Random(f"keeper {seed}"), crew(seed)
+    means = {kind: mean for kind, mean in scenario.means.items() if kind != "race"}
     return replace(
-        story,
+        scenario,
         kind="keeper",
         means=means,
-        walkers=dice.choice((2, 3)),
-        reservation=dice.choice(RESERVATIONS),
-        reserved_wait=dice.choice(RESERVED_WAITS),
+        walkers=rng.choice((2, 3)),
+        reservation=rng.choice(RESERVATIONS),
+        reserved_wait=rng.choice(RESERVED_WAITS),
     )
 
 

@@ -49,52 +49,52 @@ SLOWNESS = (10.0, 50.0, 200.0)
 
 def draw_scenario(seed: int) -> Scenario:
     """The scenario of a seed: some have larger teams, wrecks, orders of an operator, or slow computers."""
-    dice = random.Random(f"beside {seed}")
-    kind = dice.choices([*RARER, ""], [*RARER.values(), 1.0 - sum(RARER.values())])[0]
-    story = KINDS[kind](seed) if kind else _usual(seed)
-    if not kind and story.journals and random.Random(f"drawn ending {seed}").random() < ENDING:
-        story = ending(seed)
+    rng = random.Random(f"beside {seed}")
+    kind = rng.choices([*RARER, ""], [*RARER.values(), 1.0 - sum(RARER.values())])[0]
+    scenario = KINDS[kind](seed) if kind else _usual(seed)
+    if not kind and scenario.journals and random.Random(f"drawn ending {seed}").random() < ENDING:
+        scenario = ending(seed)
     elif not kind and random.Random(f"drawn apart {seed}").random() < APART:
-        story = apart(seed)
-    if dice.random() < (ORDERED_WITH_DEVICES if story.arms else ORDERED):
-        story = under_orders(story, dice)
-    if dice.random() < SLOW:
-        story = replace(story, slowness=dice.choice(SLOWNESS))
-    return story
+        scenario = apart(seed)
+    if rng.random() < (ORDERED_WITH_DEVICES if scenario.arms else ORDERED):
+        scenario = under_orders(scenario, rng)
+    if rng.random() < SLOW:
+        scenario = replace(scenario, slowness=rng.choice(SLOWNESS))
+    return scenario
 
 
-def under_orders(story: Scenario, rng: random.Random) -> Scenario:
+def under_orders(scenario: Scenario, rng: random.Random) -> Scenario:
     """The scenario with orders of an operator, and with at least one device if the program has devices."""
     orders = rng.choice((("estop",), ("pause",), ("estop", "pause")))
     means = {order: rng.uniform(*OFTEN) for order in orders}
-    arms = story.arms if story.kind in PROGRAMS else max(1, story.arms)
-    return replace(story, means={**story.means, **means}, arms=arms)
+    arms = scenario.arms if scenario.kind in PROGRAMS else max(1, scenario.arms)
+    return replace(scenario, means={**scenario.means, **means}, arms=arms)
 
 
 def _usual(seed: int) -> Scenario:
-    story = plain(seed)
-    if not story.journals:
+    scenario = plain(seed)
+    if not scenario.journals:
         return forgetful(seed)
     if random.Random(f"together {seed}").random() < CREWS:
         if random.Random(f"reserve {seed}").random() < KEEPERS:
             return keeper(seed)
         return (racer if random.Random(f"race {seed}").random() < RACERS else crew)(seed)
-    dice = random.Random(f"kind {seed}")
-    kind = dice.choice(KEPT)
-    return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
+    rng = random.Random(f"kind {seed}")
+    kind = rng.choice(KEPT)
+    return KINDS[rng.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
 
 
 def split(seed: int) -> Scenario:
     """A scenario of a larger team that is split into two groups; the majority continues with the others'
     coordinators."""
-    story, dice = doubted(seed), random.Random(f"split {seed}")
-    hosts = dice.choice((4, 5, 5, 5, 6, 7))
-    means = {"split": dice.uniform(*OFTEN)}
-    means |= {kind: dice.uniform(*OFTEN) for kind in ("cut", "stop", "kill") if dice.random() < 0.5 * LIKELY}
-    lease = dice.choice((1.0, 2.0))
+    scenario, rng = doubted(seed), random.Random(f"split {seed}")
+    hosts = rng.choice((4, 5, 5, 5, 6, 7))
+    means = {"split": rng.uniform(*OFTEN)}
+    means |= {kind: rng.uniform(*OFTEN) for kind in ("cut", "stop", "kill") if rng.random() < 0.5 * LIKELY}
+    lease = rng.choice((1.0, 2.0))
     seconds = DOUBTED + 2.0 * lease
     return replace(
-        story,
+        scenario,
         kind="split",
         cast=hosts,
         hosts=hosts,
@@ -109,17 +109,17 @@ def split(seed: int) -> Scenario:
 
 def crowd(seed: int) -> Scenario:
     """A scenario of a team of more than nine hosts: each keeps links with eight neighbours."""
-    dice = random.Random(f"crowd {seed}")
-    story = dice.choice((plain, plain, fenced))(seed)
-    hosts, seconds = dice.choice((10, 11, 13)), dice.uniform(4.0, 7.0) + (LONGER if story.interval else 0.0)
+    rng = random.Random(f"crowd {seed}")
+    scenario = rng.choice((plain, plain, fenced))(seed)
+    hosts, seconds = rng.choice((10, 11, 13)), rng.uniform(4.0, 7.0) + (LONGER if scenario.interval else 0.0)
     return replace(
-        story,
+        scenario,
         kind="crowd",
         cast=hosts,
         hosts=hosts,
-        walkers=dice.choice((1, 2)),
+        walkers=rng.choice((1, 2)),
         stays=0,
-        arms=min(story.arms, 1),
+        arms=min(scenario.arms, 1),
         calls=FOR_EVER,
         stay=0.04,
         lost_after=None,
@@ -135,30 +135,30 @@ def apart(seed: int) -> Scenario:
 
     Sometimes the links of a team form only a chain, in any order.
     """
-    dice = random.Random(f"apart {seed}")
-    story = dice.choice((plain, plain, fenced))(seed)
-    hosts = dice.choice((3, 3, 4, 5, 6))
-    row = [f"h{n}" for n in dice.sample(range(hosts), hosts)]
+    rng = random.Random(f"apart {seed}")
+    scenario = rng.choice((plain, plain, fenced))(seed)
+    hosts = rng.choice((3, 3, 4, 5, 6))
+    row = [f"h{n}" for n in rng.sample(range(hosts), hosts)]
     pairs = [(one, other) for n, one in enumerate(row) for other in row[n + 2 :]]
-    broken = pairs if dice.random() < 0.5 else dice.sample(pairs, 1)
-    kind, lasts = dice.choice(("cut", "cut", "one_way")), dice.uniform(*APART_FOR)
-    aimed = [Fault(dice.uniform(0.5, 2.5), kind, one, other, lasts, 1.0) for one, other in broken]
-    if dice.random() < 0.5:
+    broken = pairs if rng.random() < 0.5 else rng.sample(pairs, 1)
+    kind, lasts = rng.choice(("cut", "cut", "one_way")), rng.uniform(*APART_FOR)
+    aimed = [Fault(rng.uniform(0.5, 2.5), kind, one, other, lasts, 1.0) for one, other in broken]
+    if rng.random() < 0.5:
         aimed += [replace(fault, at=fault.at + 0.001, kind="reset") for fault in aimed]
-    kinds = [kind for kind in ("kill", "restart", "stop") if dice.random() < LIKELY]
+    kinds = [kind for kind in ("kill", "restart", "stop") if rng.random() < LIKELY]
     seconds = 3.0 + lasts
     return replace(
-        story,
+        scenario,
         kind="apart",
         cast=hosts,
         hosts=hosts,
         walkers=3,
         stays=0,
-        arms=min(story.arms, 1),
+        arms=min(scenario.arms, 1),
         calls=FOR_EVER,
         stay=0.04,
         lost_after=None,
-        means={kind: dice.uniform(*OFTEN) for kind in kinds},
+        means={kind: rng.uniform(*OFTEN) for kind in kinds},
         aimed=tuple(sorted(aimed, key=lambda fault: fault.at)),
         weather=seconds,
         seconds=seconds,
@@ -168,21 +168,21 @@ def apart(seed: int) -> Scenario:
 
 def flight(seed: int) -> Scenario:
     """A scenario of keepers whose resources have devices, on slow computers at times."""
-    story, dice = keeper(seed), random.Random(f"flown {seed}")
-    means = {kind: dice.uniform(*BETWEEN) for kind in ("guard_kill", "guard_stop") if dice.random() < LIKELY}
-    return replace(story, kind="flown", means={**story.means, **means})
+    scenario, rng = keeper(seed), random.Random(f"flown {seed}")
+    means = {kind: rng.uniform(*BETWEEN) for kind in ("guard_kill", "guard_stop") if rng.random() < LIKELY}
+    return replace(scenario, kind="flown", means={**scenario.means, **means})
 
 
 def wrecked(seed: int) -> Scenario:
     """A scenario of a permanently lost host: an operator recovers its coordinators or declares them lost."""
-    story, dice = plain(seed), random.Random(f"wrecked {seed}")
-    kinds = [kind for kind in DOUBTS if dice.random() < LIKELY]
-    seconds = story.weather + LONGER
+    scenario, rng = plain(seed), random.Random(f"wrecked {seed}")
+    kinds = [kind for kind in DOUBTS if rng.random() < LIKELY]
+    seconds = scenario.weather + LONGER
     return replace(
-        story,
+        scenario,
         kind="wrecked",
-        means={"wreck": seconds / 3.0} | {kind: dice.uniform(*OFTEN) for kind in kinds},
-        arms=min(story.arms, 1),
+        means={"wreck": seconds / 3.0} | {kind: rng.uniform(*OFTEN) for kind in kinds},
+        arms=min(scenario.arms, 1),
         calls=FOR_EVER,
         stay=0.04,
         lost_after=None,

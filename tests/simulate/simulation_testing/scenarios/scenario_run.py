@@ -42,7 +42,7 @@ class RunVerdict:
     `recovered`, executed `orders` of an operator, by kind.
     """
 
-    story: Scenario
+    scenario: Scenario
     breaches: tuple[Breach, ...]
     digest: str
     outcome: str
@@ -56,18 +56,18 @@ class RunVerdict:
 
 
 def run_scenario(
-    story: Scenario, *, keep_log: bool = False, record: RecordingTarget | None = None
+    scenario: Scenario, *, keep_log: bool = False, record: RecordingTarget | None = None
 ) -> RunVerdict:
     """Run a scenario until the first breach, or until all coordinators that can have made progress."""
     # Collections would only cost time: most objects live until `Fleet.close`, which frees closed fleets.
     gc.disable()
     try:
-        return _judged_run(story, record, keep_log=keep_log)
+        return _judged_run(scenario, record, keep_log=keep_log)
     finally:
         gc.enable()
 
 
-def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bool) -> RunVerdict:
+def _judged_run(scenario: Scenario, record: RecordingTarget | None, *, keep_log: bool) -> RunVerdict:
     judge, outcome = RunJudge(), OutcomeRecorder()
 
     def born(name: str, life: HostRun) -> None:
@@ -75,56 +75,56 @@ def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bo
         outcome.on_host_start(name, life)
 
     fleet = judge.fleet = Fleet(
-        story.mission,
-        story.seed,
+        scenario.mission,
+        scenario.seed,
         on_start=born,
         options=FleetOptions(
-            unreachable_after=story.unreachable_after,
-            lost_after=story.lost_after,
-            keeps=story.journals,
-            slowness=story.slowness,
+            unreachable_after=scenario.unreachable_after,
+            lost_after=scenario.lost_after,
+            keeps=scenario.journals,
+            slowness=scenario.slowness,
             record=record,
         ),
     )
     for disk in fleet.disks.values():
-        disk.sync = story.sync
+        disk.sync = scenario.sync
     fleet.timeline.max_events = MAX_EVENTS
-    storm = FaultInjector(fleet, story.forecast, judge.orders)
+    storm = FaultInjector(fleet, scenario.forecast, judge.orders)
     # A guard without a host writes to the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
-        _happen(fleet, storm, judge, story)
+        _happen(fleet, storm, judge, scenario)
         orders = dict(storm.operator.carried_out) if storm.operator else {}
         came_of_it = outcome.digest(fleet, orders, [breach.name for breach in judge.breaches])
         fleet.close()
-    said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
+    digest = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
     recovered, faults = judge.counts["recoveries"], tuple(storm.faults)
     counts = judge.calls, judge.restarts, recovered, orders
-    return RunVerdict(story, tuple(judge.breaches), said, came_of_it, fleet.now, faults, *counts, log)
+    return RunVerdict(scenario, tuple(judge.breaches), digest, came_of_it, fleet.now, faults, *counts, log)
 
 
-def _happen(fleet: Fleet, storm: FaultInjector, judge: RunJudge, story: Scenario) -> None:
-    _until(fleet, judge, story.seconds)
+def _happen(fleet: Fleet, storm: FaultInjector, judge: RunJudge, scenario: Scenario) -> None:
+    _until(fleet, judge, scenario.seconds)
     if judge.breaches:
         return
     storm.end()
-    if story.journals:
+    if scenario.journals:
         fleet.restart_ended()
     judge.on_healed()
-    waits = MIN_CALLS * story.reserved_wait * (story.kind in RESERVES)
+    waits = MIN_CALLS * scenario.reserved_wait * (scenario.kind in RESERVES)
     # An operator forgets a coordinator only when its transfer is in doubt.
-    doubt = max(story.unreachable_after, MIN_DOUBT_TIME)
-    end = fleet.now + PROGRESS_TIMEOUT + doubt + story.interval + waits
+    doubt_time = max(scenario.unreachable_after, MIN_DOUBT_TIME)
+    end = fleet.now + PROGRESS_TIMEOUT + doubt_time + scenario.interval + waits
     while judge.waits_for() and fleet.now < end and not judge.breaches:
         # A suspended host may end regularly, or give the others up, just after the end of the faults.
         fleet.heal_all()
         if storm.operator is not None:
             storm.operator.free_all()
-        if story.journals:
+        if scenario.journals:
             fleet.restart_ended(exit_status.UNKNOWN_OUTCOME)
         _until(fleet, judge, fleet.now + 1.0)
-    if story.hosts > MAX_MEMBERS and not judge.breaches:
-        settled = fleet.now + SETTLES + doubt
+    if scenario.hosts > MAX_MEMBERS and not judge.breaches:
+        settled = fleet.now + SETTLES + doubt_time
         while fleet.now < settled and not judge.breaches:
             if storm.operator is not None:
                 storm.operator.free_all()

@@ -20,9 +20,9 @@ def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
     name, best = found.breaches[0].name, found
     tries = most
     while tries > 0:
-        for story in _smaller(best):
+        for scenario in _smaller(best):
             tries -= 1
-            verdict = run_scenario(story)
+            verdict = run_scenario(scenario)
             if any(breach.name == name for breach in verdict.breaches):
                 best = verdict
                 break
@@ -35,40 +35,43 @@ def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
 
 def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
     """Slightly smaller scenarios, the smallest first."""
-    story = verdict.story
-    if verdict.seconds + 0.1 < story.seconds:
-        yield replace(story, seconds=round(verdict.seconds + 0.1, 3))
-    struck = [number for number, fault in story.numbered if fault.at < story.seconds]
+    scenario = verdict.scenario
+    if verdict.seconds + 0.1 < scenario.seconds:
+        yield replace(scenario, seconds=round(verdict.seconds + 0.1, 3))
+    struck = [number for number, fault in scenario.numbered if fault.at < scenario.seconds]
     size = len(struck)
-    if size < len(story.numbered):
-        yield replace(story, keep=frozenset(struck))
-    if story.hosts > 2:
-        witnesses = max(0, story.witnesses - 1)
+    if size < len(scenario.numbered):
+        yield replace(scenario, keep=frozenset(struck))
+    if scenario.hosts > 2:
+        witnesses = max(0, scenario.witnesses - 1)
         yield replace(
-            story, hosts=story.hosts - 1, arms=min(story.arms, story.hosts - 1), witnesses=witnesses
+            scenario,
+            hosts=scenario.hosts - 1,
+            arms=min(scenario.arms, scenario.hosts - 1),
+            witnesses=witnesses,
         )
-    if story.walkers > 1:
-        yield replace(story, walkers=story.walkers - 1)
-    if story.arms:
-        yield replace(story, arms=story.arms - 1)
+    if scenario.walkers > 1:
+        yield replace(scenario, walkers=scenario.walkers - 1)
+    if scenario.arms:
+        yield replace(scenario, arms=scenario.arms - 1)
     while size > 1:
         size = (size + 1) // 2
         for first in range(0, len(struck), size):
-            yield replace(story, keep=frozenset(struck[:first] + struck[first + size :]))
+            yield replace(scenario, keep=frozenset(struck[:first] + struck[first + size :]))
     if len(struck) == 1:
-        yield replace(story, keep=frozenset())
+        yield replace(scenario, keep=frozenset())
 
 
-def command(story: Scenario) -> str:
+def command(scenario: Scenario) -> str:
     """The command that repeats this scenario."""
-    usual, words = draw_scenario(story.seed), [f"{COMMAND} --story {story.seed}"]
-    if (usual.kind, usual.means, usual.slowness) != (story.kind, story.means, story.slowness):
-        usual = KINDS[story.kind](story.seed)
-        words.append(f"--as {story.kind}")
+    usual, words = draw_scenario(scenario.seed), [f"{COMMAND} --story {scenario.seed}"]
+    if (usual.kind, usual.means, usual.slowness) != (scenario.kind, scenario.means, scenario.slowness):
+        usual = KINDS[scenario.kind](scenario.seed)
+        words.append(f"--as {scenario.kind}")
     for name in ("hosts", "walkers", "arms", "seconds"):
-        value = getattr(story, name)
+        value = getattr(scenario, name)
         if value != getattr(usual, name):
             words.append(f"--{name} {value}")
-    if story.keep is not None:
-        words.append(f"--keep {','.join(str(number) for number in sorted(story.keep))}")
+    if scenario.keep is not None:
+        words.append(f"--keep {','.join(str(number) for number in sorted(scenario.keep))}")
     return " ".join(words)

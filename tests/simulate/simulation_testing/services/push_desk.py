@@ -26,7 +26,7 @@ from simulation_testing.services.service_fleet import ServiceFleet, bundle_versi
 DeskAction = Literal["push", "push without", "start", "stop", "discard"]
 #: Seconds without a stored piece after which an upload fails, for the answer to a command, and for a whole
 #: command.
-PATIENCE, ANSWER, COMMAND = 8.0, 20.0, 30.0
+TIMEOUT, ANSWER, COMMAND = 8.0, 20.0, 30.0
 
 
 @cache
@@ -109,7 +109,7 @@ class SimulatedDesk:
 
     async def _upload(self, links: ServiceLinks, robot: str, what: Upload) -> bool:
         try:
-            progress = await upload(links, robot, what, patience=PATIENCE)
+            progress = await upload(links, robot, what, patience=TIMEOUT)
         except LfieldError:
             return False
         return not progress.refusal

@@ -126,8 +126,13 @@ class PushJudge:
         if own is None:
             return
         for other, mission in self.missions.items():
-            theirs = self._activated.get(other)
-            if other == robot or theirs is None or robot not in theirs.hosts or other not in own.hosts:
+            other_bundle = self._activated.get(other)
+            if (
+                other == robot
+                or other_bundle is None
+                or robot not in other_bundle.hosts
+                or other not in own.hosts
+            ):
                 continue
             host = mission.host
             if host is not None and host.bundle != bundle and not mission.rests and mission.unfinished:

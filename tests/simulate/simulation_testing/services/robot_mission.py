@@ -256,8 +256,8 @@ class ModelProbe:
 
     async def vehicles(self) -> str:
         """Why the vehicle is not at rest."""
-        if trouble := await self._request():
-            return trouble
+        if problem := await self._request():
+            return problem
         return await self._answer("its vehicle is off the ground" if self._mission.is_airborne else "")
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
@@ -272,16 +272,16 @@ class ModelProbe:
 
     async def hold(self, ballot: bytes) -> str:
         """Hold the host."""
-        if trouble := await self._request():
-            return trouble
+        if problem := await self._request():
+            return problem
         self._mission.held = ballot
         return await self._answer("")
 
     async def release(self) -> str:
         """End the hold of the host for any ballot."""
         ballot = self._mission.held
-        if trouble := await self._request():
-            return trouble
+        if problem := await self._request():
+            return problem
         if ballot and self._mission.held == ballot:
             self._mission.held = b""
             self._mission.on_release(self._mission.robot)
