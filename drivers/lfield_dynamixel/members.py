@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import TypeVar
+
+from msgspec.structs import replace
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports, Setting
 from lfield_dynamixel import log_messages
