@@ -16,6 +16,7 @@ class TextPlace(Struct, frozen=True):
     """Characters `start` to `end` (exclusive) of a file."""
 
     path: Path
+    #: Offsets from the start of the file.
     start: int
     end: int
 
