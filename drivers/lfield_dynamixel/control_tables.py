@@ -6,14 +6,14 @@ The data are in `tables/*.toml`, one file per family; every model names its page
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from msgspec import Struct
 
-@dataclass(frozen=True, slots=True)
-class Item:
+
+class Item(Struct, frozen=True):
     """One value of a control table.
 
     `sign` is '', 'signed' (two's complement), or the bit that is the sign of a magnitude: 'bit 10'.
@@ -47,8 +47,7 @@ class Item:
         return -(value & (bit - 1)) if value & bit else value
 
 
-@dataclass(frozen=True, slots=True)
-class Model:
+class Model(Struct, frozen=True):
     """A model with its control table. Units per count: rad, rad/s, rad/s2, A, V, s.
 
     `centre` is the position at 0 rad, `fastest` and `hardest` are the greatest velocity and acceleration of a

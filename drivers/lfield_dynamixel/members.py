@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import TypeVar
+
+from msgspec.structs import replace
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports, Setting
 from lfield_dynamixel import log_messages
@@ -339,9 +340,8 @@ class Members(Device):
             if condition := self.conditions.get(servo.node.number):
                 self.conditions[servo.node.number] = replace(condition, torque=False)
 
-        servos = self.servos.values()
-        await self.send({s: (s.item("torque_enable").address, b"\0") for s in servos}, urgency)
-        await self.for_each(servos, confirm)
+        await self.send({s: (s.item("torque_enable").address, b"\0") for s in self.servos.values()}, urgency)
+        await self.for_each(self.servos.values(), confirm)
         self._publish_conditions()
 
     def _places(self, readings: Readings) -> dict[Servo, Present]:

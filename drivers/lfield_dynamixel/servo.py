@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.driver import DeviceError
 from lfield_dynamixel.bus.error_text import WEAKENING, fault_text, has_alert
@@ -35,8 +37,7 @@ _LONGEST_PROFILE = 32737
 _WHOLE_TORQUE = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class Present:
+class Present(Struct, frozen=True):
     """Measured values: rad, rad/s, A, N m (NaN if unknown for the model), V, °C."""
 
     counts: int
@@ -50,8 +51,7 @@ class Present:
     alert: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Condition:
+class Condition(Struct, frozen=True):
     """State that does not change by itself: torque on, hardware errors in words, watchdog in counts.
 
     `weak`: the torque is on, but reduced (Feetech servos after an error); the joint may sag under its load.

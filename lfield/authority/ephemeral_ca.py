@@ -7,7 +7,8 @@ those of a team, without `lfield keys`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.authority.certificate_authority import CertificateAuthority, new_authority
 from lfield.authority.identity import ALL_RIGHTS
@@ -17,8 +18,7 @@ from lfield.authority.key_material import Holder, Keys
 LIFETIME = 10 * 365.25 * 86400.0
 
 
-@dataclass(frozen=True, slots=True)
-class EphemeralCa:
+class EphemeralCa(Struct, frozen=True):
     """The keys of the hosts of one run by name, and those of the user who started it, who has every right."""
 
     authority: bytes

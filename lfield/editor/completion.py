@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.editor.cursor import Cursor, cursor_at
 from lfield.editor.program_model import ProgramModel
@@ -30,8 +31,7 @@ _NAME_END = re.compile(r"\w*$")
 _NEW = re.compile(r"\bnew$")
 
 
-@dataclass(frozen=True, slots=True)
-class CompletionProposal:
+class CompletionProposal(Struct, frozen=True):
     """A text that can be inserted; `kind` is that of the symbol, or `keyword` or `file`."""
 
     text: str

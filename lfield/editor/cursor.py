@@ -6,8 +6,9 @@ All results are found from tokens, so that they are available for a text with sy
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.editor.program_model import ProgramModel
 from lfield.editor.program_parts import ProgramPart
@@ -23,16 +24,14 @@ _OPENING = {")": "(", "]": "["}
 _AFTER_NAME = ("=", ";", ":", ",", ")")
 
 
-@dataclass(frozen=True, slots=True)
-class DeclaredLocal:
+class DeclaredLocal(Struct, frozen=True):
     """A local variable or parameter as written: its type, and the token of its name."""
 
     type: TypeName
     token: Token
 
 
-@dataclass(slots=True)
-class Cursor:
+class Cursor(Struct):
     """A token of a part, by its index, with the unit and the method around it.
 
     The method may be a function of the top level: then there is no unit.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 from lfield.editor.completion import CompletionProposal
 from lfield.editor.program_model import ProgramModel
@@ -19,8 +20,7 @@ NameKind = Literal["type", "id", "host", "argument"]
 _ARGUMENT = re.compile(r"[^&]+")
 
 
-@dataclass(frozen=True, slots=True)
-class DeploymentName:
+class DeploymentName(Struct, frozen=True):
     """A name in a deployment, with its line."""
 
     kind: NameKind

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.editor.program_parts import ProgramFile, ProgramPart, file_offsets
 from lfield.lang import syntax
@@ -11,8 +12,7 @@ from lfield.lang.deployment_line import DeploymentEntry
 _TopLevel = syntax.Constant | syntax.Enumeration | syntax.Method
 
 
-@dataclass(frozen=True, slots=True)
-class OutlineEntry:
+class OutlineEntry(Struct, frozen=True):
     """A symbol with its name and its whole extent, as offsets in the file."""
 
     name: str

@@ -7,10 +7,10 @@ a declaration has changed; `step` checks one part, so that a request never waits
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from lfield.editor.program_parts import PartPlace, ProgramFile, ProgramPart, parse_part
@@ -52,8 +52,7 @@ class ProgramEnvironment(Protocol):
         """The registry of a program."""
 
 
-@dataclass(slots=True)
-class _Generated:
+class _Generated(Struct):
     """The classes of capabilities for some declarations of the program."""
 
     key: object

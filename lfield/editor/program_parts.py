@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from msgspec import Struct
+
 from lfield.lang.parser import parse_file
 from lfield.lang.scanner import Token, scan
 from lfield.lang.syntax import ParsedFile
@@ -24,8 +26,7 @@ _BOUNDARY = re.compile(
 )
 
 
-@dataclass(slots=True, eq=False)
-class PartPlace:
+class PartPlace(Struct, eq=False):
     """The place of a part in its file: the offset of its first character, and the lines before it."""
 
     offset: int = 0

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from lfield.editor.cursor import Cursor, DeclaredLocal
@@ -76,8 +76,7 @@ Meaning = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class TextSymbol:
+class TextSymbol(Struct, frozen=True):
     """A symbol; `span` is the name in its declaration, None if no program declares it.
 
     `key` is equal for all names that a renaming changes together. `prefix` is the text before the name of a

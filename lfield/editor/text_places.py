@@ -7,21 +7,21 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from dataclasses import dataclass
 from pathlib import Path
 
+from msgspec import Struct
 
-@dataclass(frozen=True, slots=True)
-class TextPlace:
+
+class TextPlace(Struct, frozen=True):
     """Characters `start` to `end` (exclusive) of a file."""
 
     path: Path
+    #: Offsets from the start of the file.
     start: int
     end: int
 
 
-@dataclass(frozen=True, slots=True)
-class TextEdit:
+class TextEdit(Struct, frozen=True):
     """A place, and the text that replaces it."""
 
     place: TextPlace

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
+
+from msgspec import Struct, field
 
 JsonSchema = Mapping[str, Any]
 
@@ -13,16 +14,14 @@ JsonSchema = Mapping[str, Any]
 _MAX_TIME = 2**63 - 1
 
 
-@dataclass(frozen=True, slots=True)
-class MessageSchema:
+class MessageSchema(Struct, frozen=True):
     """A JSON schema with its name for readers."""
 
     name: str
     json: JsonSchema
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Channel:
+class Channel(Struct, frozen=True, eq=False):
     """A topic with the schema of its messages; every object is a channel of its own."""
 
     topic: str

@@ -15,8 +15,9 @@ the data from the files of the mission: units and meanings of quantities, and fr
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 from lfield.driver.frame import Origin
 from lfield.manifest import DeviceManifest, Quantity
@@ -65,8 +66,7 @@ def telemetry_of(item: StreamItem) -> TelemetrySample | None:
 # --- the mission --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class MissionInfo:
+class MissionInfo(Struct, frozen=True):
     """A mission: the manifests of its devices (AGENT.FIELD), and its frames.
 
     Without its files all fields are empty: units are then unknown, and quantities are found by their usual

@@ -8,8 +8,9 @@ origin of the team the map starts at the first position on the Earth.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any
+
+from msgspec import Struct, field
 
 from lfield.driver.frame import Origin
 from lfield.export.channels import Channel, ChannelMessage, timestamp, topic_part
@@ -58,8 +59,7 @@ _NO_COVARIANCE = [0.0] * 9
 TRANSFORMS = Channel("/tf", FRAME_TRANSFORMS)
 
 
-@dataclass(slots=True)
-class Track:
+class Track(Struct):
     """The line behind a vehicle: at most `MAX_POINTS` points over the whole way."""
 
     points: list[dict[str, float]] = field(default_factory=list)
@@ -92,8 +92,7 @@ def _distance(point: MapPoint, other: MapPoint) -> float:
     return max(abs(a - b) for a, b in zip(point, other, strict=True))
 
 
-@dataclass(slots=True)
-class _Vehicle:
+class _Vehicle(Struct):
     """A device with a position, with its last values by quantity and the channels of its messages."""
 
     instruments: Instruments

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
+
+from msgspec import Struct, field
 
 from lfield.net.transport import is_zenoh, join_address, split_address
 from lfield.net.zenoh.config import ZenohConfig
@@ -17,8 +18,7 @@ Architecture = Literal["aarch64", "x86_64", "armv7l"]
 ARCHITECTURES: tuple[str, ...] = get_args(Architecture)
 
 
-@dataclass(frozen=True, slots=True)
-class InventoryHost:
+class InventoryHost(Struct, frozen=True):
     """A host. `addresses` are "host:port" of the mission's host, in order of preference.
 
     `user`, `ssh_port` and `ssh_host` are for ssh: '' and 0 leave the choice to it, and to the addresses.
@@ -67,8 +67,7 @@ class InventoryHost:
         return tuple(dict.fromkeys(stated)) or (self.name,)
 
 
-@dataclass(frozen=True, slots=True)
-class Inventory:
+class Inventory(Struct, frozen=True):
     """The hosts of a file `path` by name, in its order; `zenoh` is the team's way into a Zenoh fabric."""
 
     path: Path

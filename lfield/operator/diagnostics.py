@@ -14,9 +14,10 @@ import os
 import pwd
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+from msgspec import Struct
 
 from lfield import event_loop
 from lfield.clock import Clock
@@ -71,8 +72,7 @@ DIAGNOSES = {
 _TIME_ERROR = 5
 
 
-@dataclass(frozen=True, slots=True)
-class DiagnosticFinding:
+class DiagnosticFinding(Struct, frozen=True):
     """One diagnosis; `code` is that of `DIAGNOSES`, `details` are lines, `cure` is the remedy of a problem.
 
     The level `note` is for a fact that this mission does not need.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.errors import CoordinatorAlive, UsageError
 from lfield.operator.coordinator_location import parked_copies, records, require_no_live_copy
@@ -15,8 +16,7 @@ from lfield.wire.observer_messages import RecoverRequest
 _Hosts = Mapping[HostRef, HostState]
 
 
-@dataclass(frozen=True, slots=True)
-class RecoveryCandidate:
+class RecoveryCandidate(Struct, frozen=True):
     """The host with the newest copy of a coordinator, and the request to it.
 
     `lines` are the evidence, for the confirmation by a person.

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.errors import LfieldError, NoListener
 from lfield.operator.targets import HostRef
@@ -32,8 +33,7 @@ UNREACHABLE_TIMEOUT = 10.0
 AT_REST = "at rest"
 
 
-@dataclass(slots=True)
-class DeviceProgress:
+class DeviceProgress(Struct):
     """A device after a stop: `problem` is the reason why its safe state was not confirmed, `activity` its
     present motion.
 

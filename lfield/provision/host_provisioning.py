@@ -7,9 +7,12 @@ import json
 import shlex
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+
+import msgspec
+from msgspec.structs import replace
 
 from lfield.errors import LfieldError, ProvisionError
 from lfield.provision.installation import (
@@ -103,8 +106,7 @@ class Robot:
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class StepReport:
+class StepReport(msgspec.Struct, frozen=True):
     """The state of a step of a host; `findings` are those of doctor, as JSON data."""
 
     host: str
@@ -158,8 +160,7 @@ class UpdateGate:
         return [other for other in self._refusing if other != host]
 
 
-@dataclass(frozen=True, slots=True)
-class ProvisionRun:
+class ProvisionRun(msgspec.Struct, frozen=True):
     """The common data of all hosts of a run. Keys of a host are empty if the authority is not on this
     desk.
     """
@@ -175,7 +176,7 @@ class ProvisionRun:
     only_prepares: bool = False
     #: Whether a robot with keys of another authority or host is taken over.
     takes_over: bool = False
-    gate: UpdateGate = field(default_factory=lambda: UpdateGate(()))
+    gate: UpdateGate = msgspec.field(default_factory=lambda: UpdateGate(()))
     desk_time: Callable[[], float] = time.time
 
 

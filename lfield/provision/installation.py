@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from msgspec import Struct
+
 from lfield.provision.lock_file import Wheel, text_digest
 from lfield.provision.robot_facts import KEYS, SERVICE_USER, SETTINGS, UNIT
 
@@ -37,8 +39,7 @@ class RobotFile:
         return f"{self.mode}:{self.owner}"
 
 
-@dataclass(frozen=True, slots=True)
-class StandalonePython:
+class StandalonePython(Struct, frozen=True):
     """A Python that the desk brings: its version, and its archive with SHA-256 and size in bytes."""
 
     version: str
@@ -47,8 +48,7 @@ class StandalonePython:
     size: int
 
 
-@dataclass(frozen=True, slots=True)
-class Payload:
+class Payload(Struct, frozen=True):
     """The collection of the desk for a platform: wheels, their folder, and a Python if one is needed."""
 
     version: str
@@ -73,8 +73,7 @@ class Payload:
         return self.own if wheel.file == self.own.name else self.folder / wheel.file
 
 
-@dataclass(frozen=True, slots=True)
-class Installation:
+class Installation(Struct, frozen=True):
     """The required installation of host `host` of a team."""
 
     host: str

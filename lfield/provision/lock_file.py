@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.errors import DamagedFileError, ProvisionError
 from lfield.provision.wheel_target import WheelTarget
@@ -19,8 +20,7 @@ _HASH = re.compile(r"--hash=sha256:([0-9a-f]{64})")
 _SEPARATORS = re.compile(r"[-_.]+")
 
 
-@dataclass(frozen=True, slots=True)
-class Pin:
+class Pin(Struct, frozen=True):
     """A requirement of one version; `hashes` are those of all its files, SHA-256 in hex."""
 
     name: str
@@ -37,8 +37,7 @@ class Pin:
         return (normalized(name), suffix.partition("-")[0]) == (normalized(self.name), self.version)
 
 
-@dataclass(frozen=True, slots=True)
-class Wheel:
+class Wheel(Struct, frozen=True):
     """A wheel on the desk: its file name, its SHA-256 in hex and its size in bytes."""
 
     file: str

@@ -7,9 +7,10 @@ with the facts after all steps gives steps that are all done, also after an inte
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+from msgspec import Struct
 
 from lfield.authority.key_material import AUTHORITY
 from lfield.provision import robot_scripts as scripts
@@ -32,24 +33,21 @@ _READ_BY_SERVICE = ("keys", "settings", "unit", "version")
 _UNPACKED, _PYTHON_UNPACKED = 6, 4
 
 
-@dataclass(frozen=True, slots=True)
-class RobotUpload:
+class RobotUpload(Struct, frozen=True):
     """A file that is sent with a command: its contents, or the file on the desk that has them."""
 
     name: str
     source: bytes | Path
 
 
-@dataclass(frozen=True, slots=True)
-class RootCommand:
+class RootCommand(Struct, frozen=True):
     """A script that root runs on the robot, and the files in its working directory."""
 
     script: str
     uploads: tuple[RobotUpload, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(Struct, frozen=True):
     """One step: `text` describes the state or the action; `advice` is for the operator."""
 
     name: str
@@ -61,8 +59,7 @@ class Step:
     disturbs_mission: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class PythonChoice:
+class PythonChoice(Struct, frozen=True):
     """The Python of the environment; `path` is empty if the desk brings one."""
 
     path: str

@@ -10,7 +10,8 @@ import re
 import shlex
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 #: The folder of lfield on a robot: an environment for each version, and the link to the active one.
 ROOT = "/opt/lfield"
@@ -85,8 +86,7 @@ true
 _ARCHITECTURES = {"arm64": "aarch64", "amd64": "x86_64", "armv8l": "armv7l"}
 
 
-@dataclass(frozen=True, slots=True)
-class LoginAccess:
+class LoginAccess(Struct, frozen=True):
     """The user of ssh on a robot; `sudo` is yes, missing, password, or tty (it requires a terminal)."""
 
     user: str
@@ -94,8 +94,7 @@ class LoginAccess:
     sudo: str
 
 
-@dataclass(frozen=True, slots=True)
-class RobotPython:
+class RobotPython(Struct, frozen=True):
     """A Python of a robot: its path, its version, and whether it can make environments."""
 
     path: str
@@ -108,8 +107,7 @@ class RobotPython:
         return f"{self.version[0]}.{self.version[1]}"
 
 
-@dataclass(frozen=True, slots=True)
-class RobotFacts:
+class RobotFacts(Struct, frozen=True):
     """The state of a robot; `free` is in bytes, `time` in seconds since 1970, digests are SHA-256 in hex."""
 
     time: float

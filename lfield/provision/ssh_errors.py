@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.errors import ProvisionError
 from lfield.provision.robot_facts import LoginAccess
 from lfield.provision.robot_scripts import BUSY, LOCK_TIMEOUT
 
 
-@dataclass(frozen=True, slots=True)
-class SshDestination:
+class SshDestination(Struct, frozen=True):
     """The destination of ssh: a name or address, with user and port from the inventory."""
 
     address: str

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 #: Architectures with their name in the keys of uv's Pythons, and the C library there.
 ARCHITECTURES = {
@@ -21,8 +22,7 @@ MIN_GLIBC = (2, 31)
 _OLD_NAMES = ("manylinux2014", "manylinux2010", "manylinux1")
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class WheelTarget:
+class WheelTarget(Struct, frozen=True, order=True):
     """An architecture as of `uname -m`, and a Python such as 3.11."""
 
     arch: str

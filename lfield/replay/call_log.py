@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from lfield.host.core import HostCore
 from lfield.host.effects import CallDevice
@@ -13,8 +14,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.inspection.traceback import FrameLocation
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedCall:
+class LoggedCall(Struct, frozen=True):
     """A call of an agent: `text` is compared, `place` is its file and line in L.
 
     `at` is in seconds since 1970, `host` is the host of the call.

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 from lfield.errors import BundleError, InputFileError, RecordingError
 from lfield.guard.recording.guard_segments import guard_problems
@@ -23,8 +24,7 @@ from lfield.replay.host_recording import HostRecording, require_valid
 from lfield.text.input_files import error_reason
 
 
-@dataclass(frozen=True, slots=True)
-class Incarnation:
+class Incarnation(Struct, frozen=True):
     """The recording of one incarnation: its folder, and its parts in order.
 
     The recording has one part, unless a file in its middle is missing or damaged: then a new part begins at
@@ -62,8 +62,7 @@ class Incarnation:
         return time_name(max(0.0, self.started_at)) if folder is None else folder.started, self.started_at
 
 
-@dataclass(frozen=True, slots=True)
-class TeamRecording:
+class TeamRecording(Struct, frozen=True):
     """The recordings of one run of a mission, by the time of their starts.
 
     `missing` are the hosts of the team without a recording. `problems` are sentences about damaged or missing

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from typing import Any
+
+from msgspec import Struct, field
 
 from lfield.bytecode.program import Program
 from lfield.guard.recording.guard_replay import GuardReplay, replay_guard
@@ -25,8 +26,7 @@ OnProgress = Callable[[int], None]
 PROGRESS_TURNS = 500
 
 
-@dataclass(frozen=True, slots=True)
-class FirstDifference:
+class FirstDifference(Struct, frozen=True):
     """The first difference of a replay from its recording.
 
     `at` is the time of the turn in seconds since 1970, by the clock of the host at its start; `turn` its
@@ -56,8 +56,7 @@ class FirstDifference:
         }
 
 
-@dataclass(slots=True)
-class PartResult:
+class PartResult(Struct):
     """The result of one part of a recording; `seconds` is the time that it covers.
 
     `guard` is the first device of a guard, '' for the core of the host.
@@ -77,8 +76,7 @@ class PartResult:
         return int(self.first is not None)
 
 
-@dataclass(slots=True)
-class ReplaySummary:
+class ReplaySummary(Struct):
     """The results of all parts, in the order in which they were replayed."""
 
     parts: list[PartResult] = field(default_factory=list)

@@ -6,9 +6,10 @@ import asyncio
 import random
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.clock import SystemClock
 from lfield.errors import AddressError
@@ -36,8 +37,7 @@ from lfield.wire.service_messages import BallotState, ServiceQuery, ServiceStatu
 MAX_BLOCK, PEER_TIMEOUT, REAUTHORISE_EVERY = 1 << 16, 8.0, 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceOptions:
+class ServiceOptions(Struct, frozen=True):
     """`state` is the directory of the journals and of the service, `files` that of files which devices need.
 
     `listen` is the address of the service.

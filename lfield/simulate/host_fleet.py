@@ -10,11 +10,11 @@ import hashlib
 import io
 import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import EntryPoint
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from lfield import exit_status
 from lfield.authority.identity import ALL_RIGHTS, Identity
@@ -60,8 +60,7 @@ OnHostStart = Callable[[str, "HostRun"], None]
 PlugHardware = Callable[["Fleet", Mission, random.Random], Mission]
 
 
-@dataclass(frozen=True, slots=True)
-class HostRun:
+class HostRun(Struct, frozen=True):
     """One incarnation of a host: its process and host object."""
 
     process: SimulatedProcess
@@ -74,8 +73,7 @@ class HostRun:
         return self.host.core
 
 
-@dataclass(frozen=True, slots=True)
-class FleetOptions:
+class FleetOptions(Struct, frozen=True):
     """Options of the hosts of a fleet. Times are in seconds.
 
     With `lost_after`, hosts exit when all coordinators have ended, as with --until-done. `keeps`: hosts have

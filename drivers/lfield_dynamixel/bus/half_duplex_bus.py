@@ -10,9 +10,10 @@ from __future__ import annotations
 import asyncio
 import heapq
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import count
 from typing import Protocol
+
+from msgspec import Struct, field
 
 from lfield.driver import WireLog
 from lfield.driver.serial import PortEvents
@@ -46,8 +47,7 @@ class Port(Protocol):
 MakePort = Callable[[PortEvents], Port]
 
 
-@dataclass(slots=True)
-class Exchange:
+class Exchange(Struct):
     """A packet, the ids that must answer (none: empty), and the received answers.
 
     With `listens` it collects every byte until its deadline.

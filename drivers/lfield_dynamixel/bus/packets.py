@@ -9,10 +9,10 @@ of protocol 1.0 is `FF FF id length instruction parameters... checksum`. An answ
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import Protocol
 
 from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, INST_SYNC_WRITE, MAX_ID
+from msgspec import Struct
 
 #: A longer status packet is noise (the SDK's own bound).
 MAX_PACKET_LENGTH = 1024
@@ -25,8 +25,7 @@ MAX_PENDING_ECHOES = 8
 _HEADER = b"\xff\xff\xfd"
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(Struct, frozen=True):
     """A status packet: id, error byte and data."""
 
     number: int

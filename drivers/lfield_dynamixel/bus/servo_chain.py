@@ -8,7 +8,6 @@ answers in order: after the answer to the ping, no older answer can follow.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from dynamixel_sdk.robotis_def import (
     BROADCAST_ID,
@@ -20,6 +19,7 @@ from dynamixel_sdk.robotis_def import (
     INST_SYNC_WRITE,
     INST_WRITE,
 )
+from msgspec import Struct
 
 from lfield.driver import DeviceError
 from lfield_dynamixel.bus.error_text import refusal_text
@@ -57,8 +57,7 @@ class ServoRefusal(DeviceError):
         super().__init__(f"servo {number}", f"servo {number} refused: {text}")
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+class Node(Struct, frozen=True):
     """One servo on the bus, with its protocol (0 for Feetech's, 1 or 2)."""
 
     number: int

@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.driver import DeviceBinding, DeviceError
 from lfield_dynamixel.control_tables import Model
@@ -20,8 +22,7 @@ from lfield_dynamixel.joints.calibration import OPTION, JointCalibration, for_se
 _NO_BOUND = 1.0e9
 
 
-@dataclass(frozen=True, slots=True)
-class Joint:
+class Joint(Struct, frozen=True):
     """One joint and the id of its servo. `direction` is 1 or -1; angles are in rad.
 
     `zero` is the angle of the servo where the joint is at `offset`.

@@ -6,9 +6,10 @@ import argparse
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from lfield import exit_status
 from lfield.cli.recordings.program_check import check_program, gap_lines, utc_time

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.editor.layout.line_layout import Row
 
 
-@dataclass(frozen=True, slots=True)
-class _Aligned:
+class _Aligned(Struct, frozen=True):
     """A comment with its row; `end` is the end of the code before it, 0 without code.
 
     `column` and `pad`, the spaces before it, are those of the source; `shift` is the movement of its row.

@@ -7,7 +7,8 @@ the same code. The layout does not depend on its own changes, so a second format
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from lfield.editor.layout.comment_columns import comment_columns
 from lfield.editor.layout.line_breaking import further_breaks

@@ -7,16 +7,16 @@ that the source has on one line.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import accumulate
+
+from msgspec import Struct, field
 
 from lfield.editor.layout.source_items import INDENT, SourceItem, width
 from lfield.editor.layout.spacing import is_spaced
 from lfield.editor.layout.statement_structure import Placed, StatementStructure, TokenRole
 
 
-@dataclass(slots=True)
-class Row:
+class Row(Struct):
     """A line: its indentation, its tokens and comments, and whether a blank line is before it.
 
     `first` is the index of its first item in the source.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.lang.parser.type_names import GENERIC_TYPES
 from lfield.lang.scanner import Token, TokenKind, scan
@@ -17,8 +18,7 @@ _COMMENT = re.compile(r"//[^\n]*|/\*(?s:.*?)\*/")
 _SPACE = re.compile(r"\s+")
 
 
-@dataclass(frozen=True, slots=True)
-class SourceItem:
+class SourceItem(Struct, frozen=True):
     """A token or a comment (kind None).
 
     `breaks` are the line breaks before it. `column` is its first column, `indent` the first column of the

@@ -7,8 +7,9 @@ change.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from enum import Enum, auto
+
+from msgspec import Struct, field
 
 from lfield.editor.layout.source_items import SourceItem
 from lfield.lang.parser.loop_members import LOOP, LOOP_WORDS, RATES
@@ -46,8 +47,7 @@ class TokenRole(Enum):
     INNER = auto()
 
 
-@dataclass(slots=True)
-class Placed:
+class Placed(Struct):
     """A token or comment with its place.
 
     `level` is the indentation of a line that begins with it. `partner` is the index of the other bracket, -1
@@ -72,8 +72,7 @@ class Placed:
         return self.item.is_symbol("(", "[", "{") and not self.is_block
 
 
-@dataclass(slots=True)
-class _Head:
+class _Head(Struct):
     """A statement that has no body yet: `if`, `else`, `try`. `is_broken`: its body has its own line."""
 
     kind: str
@@ -82,8 +81,7 @@ class _Head:
     is_broken: bool = False
 
 
-@dataclass(slots=True)
-class _Block:
+class _Block(Struct):
     """A block that is open, with the unfinished statement in it, whose first token is `first`.
 
     `next` is the role of its next token, `ends` the end of its statements: `,` between members of an enum.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 from lfield.wire.events import MigrationArrived, MigrationConfirmed, MigrationFailed, MigrationStarted
@@ -18,8 +19,7 @@ MAX_OPEN = 1 << 16
 HopKey = tuple[str, int, int]
 
 
-@dataclass(slots=True)
-class _Hop:
+class _Hop(Struct):
     source: str = ""
     target: str = ""
     resource: str = ""

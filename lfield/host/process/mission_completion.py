@@ -11,8 +11,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import cast
+
+from msgspec.structs import replace
 
 from lfield.host.host import Host
 from lfield.host.inputs import ContactRestored, OutcomesFound, SilenceChecked

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import msgspec
+from msgspec.structs import asdict
 
 #: The environment variable in which a service passes the section to its host: other users of the computer
 #: read command lines, and the section may have a password.
 SECTION_VARIABLE = "LFIELD_ZENOH_SECTION"
 
 
-@dataclass(frozen=True, slots=True)
-class ZenohConfig:
+class ZenohConfig(msgspec.Struct, frozen=True):
     """The section `zenoh` of an inventory.
 
     `connect` are endpoints of routers or peers in Zenoh's syntax (tcp/10.0.0.1:7447), `listen` the endpoints

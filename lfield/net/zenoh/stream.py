@@ -9,7 +9,8 @@ Opening and closing are packets of this stream too: the end of a liveliness toke
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.net.health.traffic import Delivery
 from lfield.net.zenoh.packets import MAX_NUMBER, Kind, Packet, decode_packet
@@ -28,27 +29,23 @@ SILENCE, SUSPECTED_SILENCE = 10.0, 3.0
 IDLE, STALLED = 15.0, 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class SendPacket:
+class SendPacket(Struct, frozen=True):
     """Publish a packet."""
 
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Deliver:
+class Deliver(Struct, frozen=True):
     """Pass bytes to the owner of the stream."""
 
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Opened:
+class Opened(Struct, frozen=True):
     """The peer has accepted the stream."""
 
 
-@dataclass(frozen=True, slots=True)
-class Closed:
+class Closed(Struct, frozen=True):
     """The stream has ended; `reason` is '' after a regular close by either side. Always the last effect."""
 
     reason: str
@@ -57,8 +54,7 @@ class Closed:
 Effect = SendPacket | Deliver | Opened | Closed
 
 
-@dataclass(slots=True)
-class _Sent:
+class _Sent(Struct):
     """A numbered packet that is not acknowledged: the time of sending, and the number of sendings."""
 
     kind: Kind

@@ -10,9 +10,10 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+
+from msgspec import Struct, field
 
 from lfield.clock import Clock, SystemClock
 from lfield.errors import LfieldError
@@ -44,8 +45,7 @@ TELEMETRY = "telemetry"
 HOLD_TIME, POLL_INTERVAL = 0.5, 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class FeedNotice:
+class FeedNotice(Struct, frozen=True):
     """A notice about a host: events lost, by kind (None: unknown number), or the reason why it is
     unreachable.
     """

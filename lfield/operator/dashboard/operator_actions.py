@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Protocol
+
+from msgspec import Struct, field
 
 from lfield.errors import LfieldError
 from lfield.operator.team_query import PrimitiveAnswer
@@ -12,8 +13,7 @@ from lfield.wire.observer_messages import EmergencyStopResult
 from lfield.wire.order_messages import OrderKind
 
 
-@dataclass(frozen=True, slots=True)
-class OrderOutcome:
+class OrderOutcome(Struct, frozen=True):
     """The result of an order: devices that are in the required state, those that are not, unreached hosts,
     and warnings of hosts; each with a sentence. `TeamState.orders` and `TeamState.stop` show later changes.
     """
@@ -30,8 +30,7 @@ class OrderOutcome:
         return not (self.unconfirmed or self.unreached)
 
 
-@dataclass(frozen=True, slots=True)
-class QueryAnswer:
+class QueryAnswer(Struct, frozen=True):
     """The answer to a query; `mistakes` are the errors in the query, marked with carets, '' for none.
     `unanswered` are the hosts that did not answer, with the reasons. `units` are those of the attributes, by
     name."""

@@ -8,13 +8,13 @@ An inventory may have more robots than a mission: only the hosts of the deployme
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.wire.service_messages import BundleInfo, ServiceStatus
 
 
-@dataclass(frozen=True, slots=True)
-class ActiveMission:
+class ActiveMission(Struct, frozen=True):
     """A bundle and the hosts of its deployment; `coordinators` are its coordinators with their hosts."""
 
     digest: bytes
@@ -29,8 +29,7 @@ _RUNNING = ("running", "leaving", "waiting to start")
 DOWN = ("stopped", "ended", "interrupted")
 
 
-@dataclass(frozen=True, slots=True)
-class IdleCoordinator:
+class IdleCoordinator(Struct, frozen=True):
     """A coordinator that does not run although hosts of its mission do, with the reason and the host."""
 
     agent: str

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
+
+from msgspec import Struct
 
 from lfield.address_race import first_connected
 from lfield.errors import AddressError, HandshakeError, LfieldError, NoListener
@@ -30,8 +31,7 @@ Purpose = Literal["service", "mission", "ssh"]
 Outcome = Literal["answers", "other-host", "refused", "closed", "unreachable"]
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
+class Endpoint(Struct, frozen=True):
     """An address of a host, for one purpose."""
 
     host: str
@@ -39,8 +39,7 @@ class Endpoint:
     address: str
 
 
-@dataclass(frozen=True, slots=True)
-class EndpointState:
+class EndpointState(Struct, frozen=True):
     """The result of the check of an address; `name` is the host in the certificate, '' without one."""
 
     outcome: Outcome

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
 from hashlib import sha256
+
+from msgspec import Struct
 
 from lfield.errors import AddressError
 from lfield.mission import bundle
@@ -31,8 +32,7 @@ WINDOW = 8
 STAGE_TIMEOUT, BUSY_DELAY = 30.0, 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Upload:
+class Upload(Struct, frozen=True):
     """A bundle in pieces. `digest` is that of the bundle, `file` that of its bytes."""
 
     digest: bytes
@@ -50,8 +50,7 @@ class Upload:
         return sum(map(len, self.pieces))
 
 
-@dataclass(slots=True)
-class UploadProgress:
+class UploadProgress(Struct):
     """Progress of an upload to one host, in pieces. `sent` counts the bytes of pieces as they were sent.
 
     `refusal` is the reason why the host does not store the bundle, '' if it does, `code` its error code. With

@@ -9,9 +9,9 @@ answer, hosts that do answer relay it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lfield.authority.order_signing.order_signatures import (
@@ -124,8 +124,7 @@ class OrderRoundTrip(SmoothedRtt):
         self.latest = sample
 
 
-@dataclass(slots=True)
-class _Host:
+class _Host(Struct):
     """One host of the order."""
 
     epochs: Epochs

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
 from lfield.operator.team_model.team_state import AgentState, HopState
@@ -46,8 +47,7 @@ ProgramPosition = tuple[str, str, int, str]
 _NO_POSITION: ProgramPosition = ("", "", 0, "")
 
 
-@dataclass(slots=True)
-class _Hop:
+class _Hop(Struct):
     generation: int
     sequence: int
     source: str
@@ -61,8 +61,7 @@ class _Hop:
     has_arrived: bool = False
 
 
-@dataclass(slots=True)
-class _Agent:
+class _Agent(Struct):
     """One agent; times are on the monotonic clock of this computer."""
 
     entry: TeamEntry

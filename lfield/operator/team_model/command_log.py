@@ -8,7 +8,8 @@ path, is no longer shown as unreached.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.errors import LfieldError
 from lfield.operator.team_model.team_state import HostState, OrderState
@@ -33,8 +34,7 @@ _IS_DONE: Mapping[OrderKind, Callable[[HostState], bool]] = {
 _NOT_DONE = "it is linked again and has not executed the order: press again"
 
 
-@dataclass(slots=True)
-class _Command:
+class _Command(Struct):
     """An order at `when` (s, own monotonic clock), and the answer of each host, None for none yet."""
 
     number: int

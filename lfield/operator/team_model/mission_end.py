@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
+from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lfield.clock import Clock
@@ -49,8 +49,7 @@ class CoordinatorEnd(NamedTuple):
     detail: str
 
 
-@dataclass(slots=True)
-class _Host:
+class _Host(Struct):
     """The data of one host, since it was reached in this incarnation; times on our monotonic clock.
 
     `waiting` are its coordinators that are not started. `started_at` is the start of the host.

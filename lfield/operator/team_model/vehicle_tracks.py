@@ -6,7 +6,8 @@ import math
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.operator.team_model.team_state import AgentTrack, TrackPoint, TrackUpdate, VehicleState
 
@@ -18,8 +19,7 @@ MAX_POINTS, MOST_KEPT = 400, 4000
 MAX_TRACKS = 1024
 
 
-@dataclass(slots=True)
-class TrackHistory:
+class TrackHistory(Struct):
     """The way of one vehicle: points with rising marks, which are times or numbers."""
 
     limit: int = MOST_KEPT

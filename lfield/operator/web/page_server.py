@@ -10,7 +10,6 @@ import secrets
 import socket
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,8 +46,7 @@ class _Line(msgspec.Struct):
     pressed: Any = None
 
 
-@dataclass(frozen=True, slots=True)
-class ServedPage:
+class ServedPage(msgspec.Struct, frozen=True):
     """The inputs of a page: state of the team, permitted actions, clock, and background of the map.
 
     A page of recordings has a `replay`, which is its source, and no actions: no order can be sent.

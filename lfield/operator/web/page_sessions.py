@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 #: Maximum number of sessions; a further one ends the oldest.
 MAX_SESSIONS = 32
@@ -20,8 +21,7 @@ FOREIGN_ADDRESS = "this page is not served under that address: use the one that 
 FOREIGN_PAGE = "request refused: it comes from another web page than that of 'lfield watch'"
 
 
-@dataclass(frozen=True, slots=True)
-class PageRequest:
+class PageRequest(Struct, frozen=True):
     """The headers of a request that authenticate it ('' for none), and whether it is an action.
 
     `sessions` are the values of all cookies with the page's name: another program on this address may have

@@ -6,9 +6,10 @@ import errno
 import random
 import ssl
 from collections.abc import Callable
-from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lfield.authority.web_ca.web_names import address_in
 from lfield.errors import AddressError, KeysError
@@ -31,8 +32,7 @@ _LINK_LOCAL = "browsers do not open link-local IPv6 addresses; give another addr
 _UNKNOWN = "unknown host name: give an IP address"
 
 
-@dataclass(frozen=True, slots=True)
-class PageSite:
+class PageSite(Struct, frozen=True):
     """The port of a page and the names under which browsers reach it; the link has the first.
 
     `limiter` accepts connections at the sockets of `listener`.

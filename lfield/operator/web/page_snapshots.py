@@ -8,7 +8,6 @@ except the lines of the log and the points of tracks, of which each gets those t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import msgspec
@@ -128,8 +127,7 @@ class ReplayControl(TeamStateSource, Protocol):
         """
 
 
-@dataclass(slots=True)
-class PageSnapshots:
+class PageSnapshots(msgspec.Struct):
     """Makes snapshots on request, at most one per `MIN_INTERVAL`; `now` is a monotonic clock (s).
 
     With a `replay` the snapshots show the position in recordings.

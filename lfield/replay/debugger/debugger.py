@@ -6,7 +6,8 @@ The front ends (terminal, Debug Adapter Protocol, page) use this class only, and
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.errors import UsageError
 from lfield.host.effects import CallDevice
@@ -43,8 +44,7 @@ from lfield.text.suggestions import choice
 from lfield.wire.events import KINDS, Event
 
 
-@dataclass(frozen=True, slots=True)
-class ThreadInfo:
+class ThreadInfo(Struct, frozen=True):
     """A thread of the team: its position and its activity."""
 
     key: ThreadKey
@@ -59,8 +59,7 @@ class ThreadInfo:
         return key.agent if key.agent == key.logical else f"{key.agent}#{key.thread}"
 
 
-@dataclass(frozen=True, slots=True)
-class Breakpoint:
+class Breakpoint(Struct, frozen=True):
     """A line, and the condition that must hold there."""
 
     file: str

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TypeGuard
+
+from msgspec import Struct
 
 from lfield.replay.debugger.moment import PORTAL_DEPTH, Moment, ThreadKey, thread_key
 from lfield.replay.debugger.statement_table import SourceLine
@@ -22,8 +23,7 @@ from lfield.vm.memory.layout import (
 from lfield.vm.memory.threads import only_thread, place_of, threads
 
 
-@dataclass(frozen=True, slots=True)
-class StackFrame:
+class StackFrame(Struct, frozen=True):
     """One frame of a logical thread: the agent and its thread, the method, the position. `frame` is its
     place in the agent's block. `line` is None without debug information.
     """

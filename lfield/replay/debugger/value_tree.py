@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.bytecode.program import (
     ANY,
@@ -47,8 +48,7 @@ _NAMES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Variable:
+class Variable(Struct, frozen=True):
     """A variable or a part of an object: name, type and value as text.
 
     `word` is the value as in a slot, `kind` its type by index. `has_parts`: the variable can be expanded.
@@ -62,8 +62,7 @@ class Variable:
     has_parts: bool = False
 
 
-@dataclass(frozen=True, order=True)
-class NamedMember:
+class NamedMember(Struct, frozen=True, order=True):
     """A member of an enum: members are in the order of their declaration."""
 
     number: int

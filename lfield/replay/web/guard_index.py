@@ -5,8 +5,9 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_right
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
+
+from msgspec import Struct, field
 
 from lfield.driver.frame import Origin
 from lfield.errors import RecordingError
@@ -41,16 +42,14 @@ _QUANTITY_MEANINGS = (
 _MOST_POINTS = 20_000
 
 
-@dataclass(slots=True)
-class _Trace:
+class _Trace(Struct):
     """The values of a quantity with the times of their changes."""
 
     times: array[float] = field(default_factory=lambda: array("d"))
     values: list[DeviceValue] = field(default_factory=list)
 
 
-@dataclass(slots=True)
-class _RecordedTrack:
+class _RecordedTrack(Struct):
     track: TrackHistory = field(default_factory=lambda: TrackHistory(_MOST_POINTS))
     values: dict[str, DeviceValue] = field(default_factory=dict)
 

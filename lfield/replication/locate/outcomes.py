@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import msgspec
 from msgspec import structs
 
 from lfield.wire.coordinator_messages import TERMINATED, CoordinatorState
@@ -31,8 +32,7 @@ class CoordinatorOutcome:
     starts: tuple[int, ...] = field(default=(), compare=False)
 
 
-@dataclass(frozen=True, slots=True)
-class UnavailableHosts:
+class UnavailableHosts(msgspec.Struct, frozen=True):
     """The hosts that did not answer a cluster query, and the state ids of the hosts that did.
 
     `ended`: certainly ended. `silent_for`: seconds of silence, longer than allowed. `reachable_by_others`:
@@ -41,9 +41,9 @@ class UnavailableHosts:
     """
 
     ended: Collection[str] = ()
-    silent_for: Mapping[str, float] = field(default_factory=dict)
+    silent_for: Mapping[str, float] = msgspec.field(default_factory=dict)
     reachable_by_others: Collection[str] = ()
-    state_ids: Mapping[str, int] = field(default_factory=dict)
+    state_ids: Mapping[str, int] = msgspec.field(default_factory=dict)
     has_journals: bool = False
 
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield_sim.dynamixel.control_table import InstructionRefused, RefusalCode
 from lfield_sim.dynamixel.packets import BROADCAST, MAX_PACKET, Instruction, InstructionPacket
@@ -27,8 +28,7 @@ _STATUS = 0x55
 _LONGEST_1 = 253
 
 
-@dataclass(frozen=True, slots=True)
-class ServoAnswer:
+class ServoAnswer(Struct, frozen=True):
     """An answer, with the id and baud rate of the servo at the time of the request."""
 
     servo: Servo
@@ -38,8 +38,7 @@ class ServoAnswer:
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class InstructionOutcome:
+class InstructionOutcome(Struct, frozen=True):
     """The answers in order.
 
     With `fast` they share one packet; it is the total size of its blocks if all answer.
@@ -49,8 +48,7 @@ class InstructionOutcome:
     fast: int = 0
 
 
-@dataclass(slots=True)
-class _Cursor:
+class _Cursor(Struct):
     """Reads parameters from the front. Raises InstructionRefused when they are too short."""
 
     data: bytes

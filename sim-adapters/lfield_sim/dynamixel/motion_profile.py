@@ -6,14 +6,14 @@ https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/#what-is-the-profile. Any u
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 #: Bits 4 and 5 of Moving Status.
 STEP, RECTANGULAR, TRIANGULAR, TRAPEZOIDAL = 0x00, 0x10, 0x20, 0x30
 
 
-@dataclass(frozen=True, slots=True)
-class _Leg:
+class _Leg(Struct, frozen=True):
     """A segment of constant acceleration from a position and speed."""
 
     duration: float

@@ -6,9 +6,10 @@ https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
+
+from msgspec import Struct
 
 BROADCAST = 0xFE
 #: The longest accepted packet in bytes; a larger length is noise.
@@ -39,8 +40,7 @@ class Instruction(IntEnum):
     FAST_BULK_READ = 0x9A
 
 
-@dataclass(frozen=True, slots=True)
-class InstructionPacket:
+class InstructionPacket(Struct, frozen=True):
     """One instruction packet. `is_valid` is False for a wrong checksum; `size` is bytes on the wire."""
 
     id: int

@@ -6,7 +6,8 @@ import itertools
 import math
 import random
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield_sim.dynamixel.control_table import RefusalCode
 from lfield_sim.dynamixel.instruction_set import InstructionOutcome, ServoAnswer, execute
@@ -66,8 +67,7 @@ _ERRORS_1 = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class TimedReply:
+class TimedReply(Struct, frozen=True):
     """Bytes whose last one arrives at time `at`."""
 
     at: float

@@ -8,8 +8,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.errors import UsageError
 
@@ -30,8 +32,7 @@ _MANUAL = "https://emanual.robotis.com/docs/en/dxl/"
 _RPM = math.tau / 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Register:
+class Register(Struct, frozen=True):
     """One register. `low` to `high` is its range; `choices`, if any, are the only values.
 
     `limit` names the register that bounds its magnitude at runtime.
@@ -126,8 +127,7 @@ X_SERIES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class MotorStrength:
+class MotorStrength(Struct, frozen=True):
     """The motor at nominal voltage, in N m, A, rad/s and V.
 
     `unit` is amperes per count of current; 0 if the register is a load in 0.1 percent instead.
@@ -140,8 +140,7 @@ class MotorStrength:
     unit: float
 
 
-@dataclass(frozen=True, slots=True)
-class ServoModel:
+class ServoModel(Struct, frozen=True):
     """A servo model: registers by name, strength, and its page in the manual.
 
     `indirect` are blocks of (first address register, first data register, count). `protocol` is 1 or 0
@@ -161,8 +160,7 @@ class ServoModel:
         return self.items["model_number"].initial
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
+class _Row(Struct, frozen=True):
     """Differences of a model from the table above."""
 
     number: int

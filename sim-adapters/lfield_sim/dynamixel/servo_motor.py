@@ -5,7 +5,7 @@ Angles in rad, speeds in rad/s, torques in N m, currents in A, temperatures in d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lfield_sim.dynamixel.servo_model import MotorStrength
 
@@ -20,8 +20,7 @@ HEATING, COOLING = 1.2, 120.0
 RESISTANCE = 0.3
 
 
-@dataclass(slots=True)
-class ServoMotor:
+class ServoMotor(Struct):
     """The rotating parts. `load` is an external torque against positive motion.
 
     `blocked`: the shaft is held externally; `slipping`: the motor turns without the shaft. `sag` is a voltage

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import re
-from dataclasses import replace
 
 import pytest
 from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
+from msgspec.structs import replace
 
 from lfield.errors import DeviceError
 

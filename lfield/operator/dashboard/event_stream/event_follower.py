@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from lfield.clock import Clock
@@ -45,8 +45,7 @@ class StreamHandler(Protocol):
         """Handles new events, none twice. `took`: seconds from the request to its first answer, else None."""
 
 
-@dataclass(frozen=True, slots=True)
-class FollowOptions:
+class FollowOptions(Struct, frozen=True):
     """The requests and reports of an `EventFollower`.
 
     `since`, `telemetry` (Hz): as in `StreamCursor`. `crl`: a revocation list for hosts with an older one.
@@ -133,8 +132,7 @@ class EventFollower:
                 link.abort()
 
 
-@dataclass(slots=True)
-class _SentOrder:
+class _SentOrder(Struct):
     """An order that was sent, and its answer."""
 
     message: OrderMessage

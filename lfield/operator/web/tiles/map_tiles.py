@@ -5,8 +5,9 @@ Columns are counted from the west and rows from the north, as browsers do (Web M
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 #: First bytes of the supported pictures, and their media types.
 _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
@@ -16,8 +17,7 @@ MAX_ZOOM = 24
 OWN_ADDRESS = "tiles/{z}/{x}/{y}"
 
 
-@dataclass(frozen=True, slots=True)
-class MapTile:
+class MapTile(Struct, frozen=True):
     """A picture and its media type.
 
     The type follows from the first bytes: no other part of a file is sent to browsers.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import Program
@@ -24,8 +24,7 @@ TABLES = 1024
 _CALL = BY_NAME["call"].code
 
 
-@dataclass(frozen=True, slots=True)
-class WasmModule:
+class WasmModule(Struct, frozen=True):
     """The text, the point of each instruction that has one, and the omitted methods with reasons."""
 
     text: str
