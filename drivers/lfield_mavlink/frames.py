@@ -11,16 +11,16 @@ height, not that of the tangent plane.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
+
+from msgspec import Struct
 
 from lfield.driver import Frame, Origin, Placement, Vector
 from lfield_mavlink.contact.vehicle_state import VehicleState
 from lfield_mavlink.geodesy import Place, geodesic_offset, geodesic_position
 
 
-@dataclass(frozen=True, slots=True)
-class GeodeticFrame:
+class GeodeticFrame(Struct, frozen=True):
     """An autopilot's local frame at its `origin`, converted with a sphere of `radius` (m)."""
 
     team: Origin
@@ -52,8 +52,7 @@ def _rotation(team: Origin, origin: Place) -> float:
     return geodesic_offset(team, origin)[2]
 
 
-@dataclass(frozen=True, slots=True)
-class HomeFrame:
+class HomeFrame(Struct, frozen=True):
     """The frame of home, at an offset from the origin of the frame `local`."""
 
     local: Frame

@@ -8,9 +8,9 @@ geographiclib.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from geographiclib.geodesic import Geodesic
+from msgspec import Struct
 
 from lfield.driver import Origin, Vector
 
@@ -20,8 +20,7 @@ __all__ = ["EARTH_RADIUS", "Place", "Vector", "geodesic_offset", "geodesic_posit
 EARTH_RADIUS = 6378137.0
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(Struct, frozen=True):
     """Latitude and longitude in degrees, height above mean sea level in metres."""
 
     latitude: float

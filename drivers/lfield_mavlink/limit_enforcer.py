@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.driver import DeviceError
 from lfield_mavlink import log_messages
@@ -33,8 +34,7 @@ _FORMATS = {
 _UNITS = {"speed": "m/s", "altitude": "m", "radius": "m"}
 
 
-@dataclass(slots=True)
-class _LimitState:
+class _LimitState(Struct):
     """One limit: its watch, the last value, and the corrections since it was exceeded."""
 
     limit: float

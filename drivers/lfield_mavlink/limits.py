@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum, auto
+
+from msgspec import Struct
 
 from lfield.driver import DeviceBinding, DeviceError
 from lfield_mavlink.geodesy import Vector
@@ -33,8 +34,7 @@ class Verdict(Enum):
     WITHIN = auto()
 
 
-@dataclass(slots=True)
-class LimitWatch:
+class LimitWatch(Struct):
     """Compares samples of one value with its limit, tolerating gusts and noise.
 
     `bound` is the limit with its tolerance. A value that exceeds it for `time` seconds without interruption

@@ -8,7 +8,8 @@ table of main and sub modes (https://docs.px4.io/main/en/flight_modes/, px4_cust
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 #: Waiver of motions that an autopilot flies by itself, which continue when this computer fails.
 AUTONOMOUS = "autonomous_motion"
@@ -20,8 +21,7 @@ STACKS: Mapping[int, str] = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 RADII: Mapping[int, float] = {ARDUPILOT: 6378100.0, PX4: 6371000.0}
 
 
-@dataclass(frozen=True, slots=True)
-class Profile:
+class Profile(Struct, frozen=True):
     """A kind of vehicle under one autopilot.
 
     `guided` is the mode for our setpoints, `arming` the mode for arming. `hold`, `land` and `home` are the

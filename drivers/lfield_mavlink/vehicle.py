@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield.driver import (
     Clock,
@@ -59,8 +60,7 @@ SETTLES = 6.0
 BOARD_REQUESTS, SECOND = 2, 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class LinkViews:
+class LinkViews(Struct, frozen=True):
     """Data of the links of a vehicle.
 
     `counts` returns the counters of their readers, `silence_reason` a possible reason for silence, and

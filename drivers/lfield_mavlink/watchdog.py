@@ -21,9 +21,10 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
+
+from msgspec import Struct
 
 from lfield.driver import DeviceBinding, Setting
 from lfield_mavlink.contact.contact import Contact
@@ -41,8 +42,7 @@ Values = Mapping[str, float]
 FromBinding = Callable[[DeviceBinding], float]
 
 
-@dataclass(frozen=True, slots=True)
-class Need:
+class Need(Struct, frozen=True):
     """One parameter that a binding requires.
 
     `names` are its names by version; without a name it is a `fixed_time` of the autopilot. It must

@@ -12,14 +12,14 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 FaultValue = bool | float | str
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(Struct, frozen=True):
     """One fault. The type of `default` is the type of its values; it means "healthy".
 
     A fault with `whole` applies to the whole link or bus; the name of a device then selects its bus.

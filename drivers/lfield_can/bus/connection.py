@@ -14,10 +14,10 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import can
+from msgspec import Struct
 
 from lfield.driver import DeviceError
 from lfield.driver.serial.serial_port import permission_reason
@@ -53,8 +53,7 @@ for _library in ("can", "canopen", "cantools"):
     logging.getLogger(_library).setLevel(logging.CRITICAL + 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+class Job(Struct, frozen=True):
     """A frame to send before a deadline; `sent` gets '' or the reason for a failure."""
 
     message: can.Message

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from urllib.parse import parse_qsl
+
+from msgspec import Struct, field
 
 from lfield.driver import DeviceError
 from lfield.driver.recording.wire_formats import channel_name
@@ -30,8 +31,7 @@ _SOCKETCAND = re.compile(
 _SLCAN = re.compile(r"(?P<tty>/[^@?]+)(@(?P<baud>[0-9]{2,8}))?")
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
+class Endpoint(Struct, frozen=True):
     """A parsed endpoint.
 
     `arguments` are the keyword arguments of `can.Bus`; `tty` is the serial port to be locked, and `server`

@@ -6,8 +6,9 @@ Independent of python-can.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
+
+from msgspec import Struct
 
 #: Flag in the key of a frame with an extended id: 0x123 and 0x00000123 are different ids.
 EXTENDED = 1 << 31
@@ -50,8 +51,7 @@ def group_of(identifier: int) -> int:
 BUS_LOST = "the bus is lost"
 
 
-@dataclass(frozen=True, slots=True)
-class Listener:
+class Listener(Struct, frozen=True):
     """Callbacks of an interface, on the loop: for every data frame, for the id and data of every error frame,
     and once for the reason of a failure.
     """

@@ -7,13 +7,13 @@ specification of CRC routines. The last two are checksums of car makers, as in o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, reduce
 from operator import xor
 
+from msgspec import Struct
 
-@dataclass(frozen=True, slots=True)
-class Covered:
+
+class Covered(Struct, frozen=True):
     """The data that a checksum covers: the id of the frame, its `data` with the bits of the checksum 0, the
     `rest` of it without the bytes of the checksum, the data ids of the binding, and the counter.
     """
@@ -26,8 +26,7 @@ class Covered:
     counter: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ChecksumKind:
+class ChecksumKind(Struct, frozen=True):
     """A checksum of `bits` bits that needs `ids` data ids, each at most `highest`."""
 
     value: Callable[[Covered], int]

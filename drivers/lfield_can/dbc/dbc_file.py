@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.driver import Diagnostic, Diagnostics, Source, read_within
 from lfield_can.bus.frames import EXTENDED, Frame, group_of
@@ -37,8 +39,7 @@ class DbcError(ValueError):
         super().__init__(text)
 
 
-@dataclass(frozen=True, slots=True)
-class Term:
+class Term(Struct, frozen=True):
     """`Motor.speed=0 within 0.5`: a value of a signal, with a tolerance."""
 
     message: str

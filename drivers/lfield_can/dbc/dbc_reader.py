@@ -7,7 +7,9 @@ value names of an unknown signal) are omitted with a warning.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.driver import Diagnostics, Source, Span
 from lfield_can.dbc import findings
@@ -40,8 +42,7 @@ _MOST_BITS = 64
 ANY_SOURCE = 0xFE
 
 
-@dataclass(slots=True)
-class _Draft:
+class _Draft(Struct):
     """A message that is being read; `multiplexed` are the marks of its signals."""
 
     id: int
@@ -369,7 +370,7 @@ class _Reader:
         positions = [at for at, signal in enumerate(draft.signals) if signal.name == name] if draft else []
         for at in positions:
             assert draft is not None
-            draft.signals[at] = replace(draft.signals[at], **values)  # type: ignore[arg-type]  # a table of fields
+            draft.signals[at] = replace(draft.signals[at], **values)
         if not positions and not (draft and name in draft.unusable):
             subject = f"signal {name} of {draft.name}" if draft else f"a message with the id {id}"
             span = Span(self._source, statement.at - len(statement.keyword), statement.at)

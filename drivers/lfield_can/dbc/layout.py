@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from msgspec import Struct
+
 #: Bytes of the longest frame, and lengths of CAN FD frames beyond 8 bytes (ISO 11898-1).
 LONGEST, FD_LENGTHS = 64, (12, 16, 20, 24, 32, 48, 64)
 #: Bytes of the longest classic frame.
@@ -30,8 +32,7 @@ class OutOfRange(ValueError):
     """A value that a signal cannot represent; the message is a sentence."""
 
 
-@dataclass(frozen=True, slots=True)
-class Signal:
+class Signal(Struct, frozen=True):
     """One signal. `minimum` and `maximum` are None if the file gives no range ([0|0]).
 
     `multiplexer_ids` are the values of `multiplexer_signal` with which it is in its message.

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield_can.dbc.checksums import KINDS, Covered
 from lfield_can.dbc.dbc_file import DbcError, DbcFile
@@ -20,8 +21,7 @@ _CHECKSUM = re.compile(
 )
 
 
-@dataclass(slots=True)
-class _Draft:
+class _Draft(Struct):
     """The protection of one message, as far as it was read."""
 
     counter: Signal | None = None

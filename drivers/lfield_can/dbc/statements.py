@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.driver import Diagnostics, Source, Span
 from lfield_can.dbc import findings
@@ -71,8 +72,7 @@ ATTRIBUTE = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Statement:
+class Statement(Struct, frozen=True):
     """One statement: its keyword, its rest, and the position of that in the source."""
 
     keyword: str

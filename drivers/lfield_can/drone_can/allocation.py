@@ -8,7 +8,8 @@ nothing is stored; any other gets the highest free id.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield_can.drone_can.messages import ALLOCATION, Values, decode, encode
 
@@ -21,8 +22,7 @@ LEARNING = 1.5
 HIGHEST = 125
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(Struct, frozen=True):
     """Data of an answer; `node` is the id that it assigns, 0 for none yet."""
 
     data: bytes

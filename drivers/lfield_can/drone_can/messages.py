@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield_can.drone_can.transfers import Transfer, TransferKind
 
 Values = dict[str, float]
 
 
-@dataclass(frozen=True, slots=True)
-class DataType:
+class DataType(Struct, frozen=True):
     """A data type: `fields` are names with `u`, `i` (two's complement) or `f` (IEEE 754) and their bits.
 
     Bytes that follow them are its last array.
@@ -95,8 +95,7 @@ KELVIN = 273.15
 _FLOAT16_MAX = 65504.0
 
 
-@dataclass(frozen=True, slots=True)
-class NodeInfo:
+class NodeInfo(Struct, frozen=True):
     """The identity of a node; `unique_id` has 16 bytes."""
 
     name: str

@@ -7,8 +7,9 @@ toggle, and the number of the transfer. A transfer of several frames starts with
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 from lfield_can.bus.frames import Frame
 from lfield_can.dbc.checksums import crc
@@ -80,8 +81,7 @@ def frames_of(transfer: Transfer, signature: int, priority: int = 16) -> Iterato
         yield Frame(identifier, data[at * CAPACITY : (at + 1) * CAPACITY] + bytes([tail]), extended=True)
 
 
-@dataclass(slots=True)
-class _Unfinished:
+class _Unfinished(Struct):
     """An unfinished transfer."""
 
     number: int

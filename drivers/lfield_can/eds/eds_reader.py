@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
+from msgspec import Struct, field
 
 from lfield.driver import Diagnostic, Diagnostics, FindingTable, Source, Span
 from lfield_can.text_files import decode_text
@@ -66,8 +66,7 @@ class EdsError(ValueError):
         super().__init__(text)
 
 
-@dataclass(slots=True)
-class _Section:
+class _Section(Struct):
     """One section: its entries by lower-case key, each with the position of its value."""
 
     span: Span

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.driver import Clock, DeviceBinding, DeviceError
 from lfield_can.bus.can_bus import Bus
@@ -12,8 +13,7 @@ from lfield_can.bus.frames import Frame
 from lfield_can.timing import ChangeNotifier, Sync
 
 
-@dataclass(slots=True)
-class AxisState:
+class AxisState(Struct):
     """The newest state of the device; None is unknown.
 
     `enabled`: it follows commands. `fault` is in words, '' for none. `referenced`: its zero position is
@@ -28,8 +28,7 @@ class AxisState:
     referenced: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ProtocolContext:
+class ProtocolContext(Struct, frozen=True):
     """The objects that a protocol uses. `error` creates an exception, `note` writes to the log."""
 
     binding: DeviceBinding

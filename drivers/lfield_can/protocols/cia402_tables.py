@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from canopen.objectdictionary import datatypes as t
+from msgspec import Struct
 
 #: The objects that this driver uses: (index, subindex) -> (name, data type).
 OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
@@ -81,8 +81,7 @@ NUMBERS: Mapping[int, struct.Struct] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Direction:
+class Direction(Struct, frozen=True):
     """Process data of one direction: records, mappings, required objects."""
 
     name: str
@@ -312,8 +311,7 @@ def name_of(index: int, subindex: int) -> str:
 _PER_TURN = {"rpm": 60.0, "milli_rpm": 60_000.0}
 
 
-@dataclass(slots=True)
-class Units:
+class Units(Struct):
     """Scales of one drive. `turns` of the motor per radian of the axis, with its sign.
 
     `rated_torque` in N m and `rated_current` in A are of the motor; 0 while unknown.

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from enum import IntEnum
+
+from msgspec import Struct, field
 
 from lfield.driver import DeviceError
 from lfield_can import log_messages
@@ -45,8 +46,7 @@ class PdoTrigger(IntEnum):
     BY_CHANGES = 2
 
 
-@dataclass(frozen=True, slots=True)
-class PdoConfiguration:
+class PdoConfiguration(Struct, frozen=True):
     """The process data of a node, whether it needs SYNC, and whether values are sent only on change."""
 
     data: ProcessData = field(default_factory=ProcessData)

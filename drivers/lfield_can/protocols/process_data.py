@@ -6,7 +6,8 @@ An object in a PDO is encoded as in mapping records: index << 16 | subindex << 8
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield_can.protocols.cia402_tables import NUMBERS
 
@@ -16,8 +17,7 @@ LONGEST = 8
 TYPES_END = 0x20
 
 
-@dataclass(frozen=True, slots=True)
-class Pdo:
+class Pdo(Struct, frozen=True):
     """One PDO: its number as in manuals, from 1; its frame id; its objects in order."""
 
     number: int

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum, auto
 from itertools import count
+
+from msgspec import Struct
 
 #: Attempts of one transfer, and seconds to wait for each answer.
 TRIES, ANSWER = 3, 0.3
@@ -41,30 +42,26 @@ TIMED_OUT, NO_MEMORY, WRONG_LENGTH, GENERAL_ERROR = 0x05040000, 0x05040005, 0x06
 PROBES: Sequence[Key] = [(0x1018, subindex) for subindex in range(16)]
 
 
-@dataclass(frozen=True, slots=True)
-class Send:
+class Send(Struct, frozen=True):
     """Effect: a frame for the server; an answer is awaited for `within` seconds, None for none."""
 
     data: bytes
     within: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Done:
+class Done(Struct, frozen=True):
     """Effect: the transfer is complete; `data` of an upload."""
 
     data: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class Refused:
+class Refused(Struct, frozen=True):
     """Effect: the server has aborted the transfer, with an abort code of CiA 301, table 22."""
 
     code: int
 
 
-@dataclass(frozen=True, slots=True)
-class Failed:
+class Failed(Struct, frozen=True):
     """Effect: there is no valid answer. `silent`: none arrived in time."""
 
     reason: str

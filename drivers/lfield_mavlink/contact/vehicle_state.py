@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield_mavlink.geodesy import EARTH_RADIUS, Place, Vector
 from lfield_mavlink.link.dialect import dialect
@@ -43,8 +44,7 @@ PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 Values = dict[str, object]
 
 
-@dataclass(frozen=True, slots=True)
-class Sensors:
+class Sensors(Struct, frozen=True):
     """Sensors and checks of SYS_STATUS as bits of MAV_SYS_STATUS_SENSOR, and its time."""
 
     present: int

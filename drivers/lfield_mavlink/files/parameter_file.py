@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.driver import MissionFileError, ascii_number, utf8_bytes
 from lfield_mavlink.link.dialect import AUTOPILOT
@@ -38,8 +39,7 @@ READ_ONLY = "@READONLY"
 _INCLUDE = "@include"
 
 
-@dataclass(slots=True)
-class ParameterFile:
+class ParameterFile(Struct):
     """The values of a file by name, in its order.
 
     `firmware` is `ardupilot`, `px4` or '', `kind` a kind of the driver or ''. `read_only` are the names that

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.driver import MissionFileError, PlanZone
 from lfield_mavlink.geodesy import Place
@@ -33,8 +35,7 @@ _JUMPS = (dialect.MAV_CMD_DO_JUMP, dialect.MAV_CMD_DO_SET_MISSION_CURRENT)
 _INT32, _FLOAT32 = 0x7FFFFFFF, 3.4e38
 
 
-@dataclass(frozen=True, slots=True)
-class NumberedItem:
+class NumberedItem(Struct, frozen=True):
     """One item of a mission with its number in the ground station, and the pattern that it is a part of."""
 
     number: int
@@ -42,8 +43,7 @@ class NumberedItem:
     part_of: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class RallyPoint:
+class RallyPoint(Struct, frozen=True):
     """A position in degrees, with metres above home."""
 
     latitude: float
@@ -51,8 +51,7 @@ class RallyPoint:
     height: float
 
 
-@dataclass(frozen=True, slots=True)
-class PlanFile:
+class PlanFile(Struct, frozen=True):
     """A mission with its fence and rally points.
 
     `firmware` is `ardupilot`, `px4` or '' for unknown; `kind` one of KINDS or ''. Speeds are in m/s, None if

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.driver import LocalPlane, PlanPoint
 from lfield_mavlink.files.plan_file import NumberedItem, PlanFile
@@ -22,8 +23,7 @@ _WAITS = frozenset(
 _RETURN, _SPEED = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH, dialect.MAV_CMD_DO_CHANGE_SPEED
 
 
-@dataclass(frozen=True, slots=True)
-class PlanLeg:
+class PlanLeg(Struct, frozen=True):
     """A straight line to an item from the previous item, or from home."""
 
     start: PlanPoint

@@ -9,9 +9,9 @@ from __future__ import annotations
 import codecs
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 from msgspec import structs
+from msgspec.structs import replace
 
 from lfield.driver import DeviceBinding, DeviceError, FileFinding, MissionFileError, PlanReport, PlanRequest
 from lfield_mavlink.files.fence_check import FenceCheck

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
@@ -125,13 +124,12 @@ def _decoded(file: str, data: bytes) -> _Plan:
         raise MissionFileError(file, f"not JSON: {error}") from None
 
 
-@dataclass(slots=True)
-class _ItemReader:
+class _ItemReader(msgspec.Struct):
     """Expands the items of a mission in order."""
 
     file: str
-    items: list[tuple[SimpleItem, str]] = field(default_factory=list)
-    areas: list[tuple[tuple[float, float], ...]] = field(default_factory=list)
+    items: list[tuple[SimpleItem, str]] = msgspec.field(default_factory=list)
+    areas: list[tuple[tuple[float, float], ...]] = msgspec.field(default_factory=list)
 
     def read(self, trees: Sequence[Any]) -> None:
         for tree in trees:

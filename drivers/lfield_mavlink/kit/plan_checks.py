@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.driver import DeviceError
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried
@@ -19,8 +20,7 @@ WAYPOINT_DISTANCE, HEIGHT, FENCE = 20.0, 5.0, 500.0
 DEGREES, METRES = 1e-6, 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class StoredPlan:
+class StoredPlan(Struct, frozen=True):
     """A list of points {latitude, longitude, metres}: its name, and its instructions."""
 
     points: str

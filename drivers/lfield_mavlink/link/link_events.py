@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.driver import DeviceError
 
@@ -19,8 +20,7 @@ def _nothing(*_: object) -> None:
     """Ignores an event."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinkEvents:
+class LinkEvents(Struct, frozen=True):
     """`note` takes a log line; `reopened` is called when a lost link works again.
 
     `sender` gets the address of the following bytes, if a link has several peers.

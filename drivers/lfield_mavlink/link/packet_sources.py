@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
+
+from msgspec import Struct, field
 
 from lfield_mavlink import log_messages
 from lfield_mavlink.link.dialect import dialect
@@ -47,8 +48,7 @@ class Source(NamedTuple):
     address: str = ""
 
 
-@dataclass(slots=True)
-class _SourceState:
+class _SourceState(Struct):
     """The messages of one source."""
 
     at: float = -math.inf

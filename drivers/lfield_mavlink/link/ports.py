@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield.driver import WireLog
 from lfield_mavlink.link.dialect import Reader, Writer, dialect
@@ -30,8 +31,7 @@ _LEADS = frozenset(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Port:
+class Port(Struct, frozen=True):
     """One link with its reader and writer, and the log of what it sends."""
 
     link: Link
@@ -50,8 +50,7 @@ class Port:
             self.link.send(data)
 
 
-@dataclass(frozen=True, slots=True)
-class LinkCounts:
+class LinkCounts(Struct, frozen=True):
     """Counters of the readers of all links: damaged packets, and signatures."""
 
     broken: int = 0

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 #: A fall: metres below the minimum height of a motion, and descent in m/s there.
 LOST, SINKS = 1.0, 1.0
@@ -56,16 +57,14 @@ STALE_MESSAGES = 4
 _BEFORE = re.compile(r"^(preflight|prearm|arm)\b", re.I)
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+class Finding(Struct, frozen=True):
     """A fall or crash, in words; after a crash an inspection is required."""
 
     text: str
     crashed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Expected:
+class Expected(Struct, frozen=True):
     """Expected heights of a motion: metres above home, m/s.
 
     `goal` is its height, infinity for a motion that must not descend, None for one that descends.

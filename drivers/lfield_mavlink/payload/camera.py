@@ -9,9 +9,11 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.components import CAMERAS
@@ -33,8 +35,7 @@ FULL, SEQUENCES = 10.0, 1_000_000
 LONGEST_SERIES = 0xFFFF
 
 
-@dataclass(frozen=True, slots=True)
-class CameraOrder:
+class CameraOrder(Struct, frozen=True):
     """A command to a camera: its name in L, MAV_CMD and parameters, and the mode that it requires.
 
     `is_confirmed` returns whether a CAMERA_CAPTURE_STATUS shows that it was executed.

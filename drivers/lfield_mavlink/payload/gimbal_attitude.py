@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield_mavlink.geodesy import Vector
 from lfield_mavlink.link.dialect import dialect
@@ -15,8 +16,7 @@ MARGIN = 1e-3
 MOST_ATTACHED = 6
 
 
-@dataclass(frozen=True, slots=True)
-class GimbalManager:
+class GimbalManager(Struct, frozen=True):
     """A gimbal manager by its component id, with its gimbal and the ranges of that, in radians.
 
     `device` is the id of the gimbal: 1 to 6 without MAVLink, else its component id.
@@ -50,8 +50,7 @@ class GimbalManager:
         return ""
 
 
-@dataclass(frozen=True, slots=True)
-class GimbalAttitude:
+class GimbalAttitude(Struct, frozen=True):
     """Roll, pitch above the horizon and yaw clockwise from the nose, in radians."""
 
     roll: float

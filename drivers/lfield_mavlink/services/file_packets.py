@@ -9,8 +9,9 @@ import os
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
+
+from msgspec import Struct
 
 #: sequence, session, opcode, size, requested opcode, burst complete, padding, offset
 _HEAD = struct.Struct("<HBBBBBxI")
@@ -64,8 +65,7 @@ _REFUSAL_TEXTS: Mapping[int, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(Struct, frozen=True):
     """One request or answer. `size` is the length of `data`; in reads the requested length."""
 
     sequence: int
@@ -121,8 +121,7 @@ def crc32(data: bytes) -> int:
     return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
-@dataclass(frozen=True, slots=True)
-class FileEntry:
+class FileEntry(Struct, frozen=True):
     """A file with its size in bytes, or a folder."""
 
     name: str

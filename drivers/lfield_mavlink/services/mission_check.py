@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.driver import DeviceError
 from lfield_mavlink.geodesy import Place, Vector
@@ -21,8 +23,7 @@ from lfield_mavlink.services.plan_items import Item, command_name
 HERE = 0x7FFFFFFF
 
 
-@dataclass(frozen=True, slots=True)
-class Climb:
+class Climb(Struct, frozen=True):
     """The height of a return: `height` above its destination, after a climb by at least `minimum`; metres,
     with parameter names.
     """
@@ -33,8 +34,7 @@ class Climb:
     minimum_name: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Situation:
+class Situation(Struct, frozen=True):
     """Data of the vehicle for the check of its mission.
 
     `home` and `position` (metres of home) are None while unknown. `loiter` is the default radius of a circle

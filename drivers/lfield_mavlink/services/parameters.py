@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.services.parameter_values import (
@@ -31,8 +32,7 @@ LIST_SILENCE, GAPS = 1.0, 50
 ROUNDS, MAX_LIST_TIME = 6, 180.0
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(Struct, frozen=True):
     """A received parameter; `kind` is its MAV_PARAM_TYPE."""
 
     name: str

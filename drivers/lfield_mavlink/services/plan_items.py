@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
+
+from msgspec import Struct
 
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 
@@ -47,8 +48,7 @@ class PlanKind(IntEnum):
         return ("mission", "fence", "list of rally points")[self]
 
 
-@dataclass(frozen=True, slots=True)
-class Item:
+class Item(Struct, frozen=True):
     """One item of a plan: a MAV_CMD at a position. `x` and `y` are 1e-7 degrees, `z` metres in its frame."""
 
     command: int

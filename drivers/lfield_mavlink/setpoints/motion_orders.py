@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 from lfield_mavlink.contact.vehicle_state import VehicleState
 from lfield_mavlink.geodesy import Place, Vector
@@ -48,8 +49,7 @@ _ROUND, _FED = 1.5, 0.1
 _SLOW = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(Struct, frozen=True):
     """A command for Exchange.command."""
 
     number: int
@@ -57,8 +57,7 @@ class Command:
     place: Place | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(Struct, frozen=True):
     """The start and the continuation of a motion.
 
     First the mode is entered and the command accepted; then the mode must be one of `modes` until the motion
@@ -82,8 +81,7 @@ class Order:
         return not (self.command is None and self.target is None and self.trajectory is None)
 
 
-@dataclass(frozen=True, slots=True)
-class ProgressPatience:
+class ProgressPatience(Struct, frozen=True):
     """The longest time without an approach of `closer` metres, and the error after it, a text with
     `{seconds}`, `{left}` and `{clearance}`.
 
@@ -108,8 +106,7 @@ class ProgressPatience:
         return max(time_limit, self.turning, self.detour / slowest) if is_moving else time_limit
 
 
-@dataclass(frozen=True, slots=True)
-class Circle:
+class Circle(Struct, frozen=True):
     """An orbit: centre in metres of home, radius in m, speed in m/s, direction."""
 
     centre: Vector

@@ -11,8 +11,9 @@ about one second of its speed, and in steady motion has exactly the target's spe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Protocol
+
+from msgspec import Struct
 
 from lfield_mavlink.geodesy import Vector
 from lfield_mavlink.limits import BRAKES
@@ -44,8 +45,7 @@ ON_CIRCLE = 0.05
 ROVER_BRAKES = 0.8
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(Struct, frozen=True):
     """A setpoint in metres of home and m/s; `mask` selects the fields."""
 
     mask: int

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield_sim.autopilot.body.goals import ZERO, Fall, Goal, Keep, Lean, Orbit, Reach, Vector
 from lfield_sim.autopilot.flavours import MavResult, Role, SetpointControl, VehicleKind
@@ -35,8 +38,7 @@ POSITION_MODES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Setpoint:
+class Setpoint(Struct, frozen=True):
     """A setpoint; motion and heading are optional."""
 
     goal: Goal | None = None

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Protocol
+
+from msgspec import Struct, field
 
 from lfield_sim.autopilot.body.estimator import BlindRule
 from lfield_sim.autopilot.ground_vehicle import Wheels
@@ -70,8 +71,7 @@ class SpeedControl(Protocol):
 MakeSpeedControl = Callable[[Callable[[], float], Callable[[], float]], SpeedControl]
 
 
-@dataclass(frozen=True, slots=True)
-class FlightMode:
+class FlightMode(Struct, frozen=True):
     """A flight mode: HEARTBEAT.custom_mode, its role, and whether it permits arming.
 
     `flags` is HEARTBEAT.base_mode apart from armed (MAV_MODE_FLAG), `standard` that of CURRENT_MODE
@@ -89,8 +89,7 @@ class FlightMode:
 Actions = Mapping[int, Role]
 
 
-@dataclass(frozen=True, slots=True)
-class GcsRule:
+class GcsRule(Struct, frozen=True):
     """The ground station failsafe, by parameter names ('' for none).
 
     `action` 0 disables it; `pause` are seconds of hold before the action; `options` bit 3 lets a landing
@@ -123,8 +122,7 @@ class GcsRule:
     check_period: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class BatteryLevel:
+class BatteryLevel(Struct, frozen=True):
     """One level of a battery failsafe: a share of the charge, or mAh when `of_capacity`."""
 
     threshold: str
@@ -134,8 +132,7 @@ class BatteryLevel:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class FenceRule:
+class FenceRule(Struct, frozen=True):
     """The fence failsafe; the texts are for circle, ceiling and uploaded zones.
 
     `avoid` is the parameter by which it stays inside (`margin` m from the edge), '' for none. `refuses`: it
@@ -164,8 +161,7 @@ class FenceRule:
     pause: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class StartupTiming:
+class StartupTiming(Struct, frozen=True):
     """A cold start, in shares of the time until arming is possible.
 
     `fix`, `home`, `origin` and `position` are when GNSS has a fix and when the others are reported; from
@@ -188,8 +184,7 @@ class StartupTiming:
 NEVER_BLIND = BlindRule(1e9)
 
 
-@dataclass(frozen=True, slots=True)
-class Flavour:
+class Flavour(Struct, frozen=True):
     """An autopilot: the properties that its kinds of vehicles have in common.
 
     refusal             the result of a refused arming or disarming
@@ -284,8 +279,7 @@ class Flavour:
     thrust_loss: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleKind:
+class VehicleKind(Struct, frozen=True):
     """A kind of vehicle with its autopilot.
 
     `speeds` are the parameters of the motion limits with units per SI unit; `return_height` and

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from lfield_sim.autopilot.body.goals import ZERO, Goal, Keep, Reach, Rest, Roll, Vector
 from lfield_sim.autopilot.vehicle import Vehicle, eased, wrap
 
@@ -18,8 +20,7 @@ SETTLES, FRICTION = 0.2, 0.02
 SHOOTS = 4.0
 
 
-@dataclass(frozen=True, slots=True)
-class Wheels:
+class Wheels(Struct, frozen=True):
     """The steering and stopping of a rover at a position.
 
     `radius` in m is that of the tightest circle (Ackermann), which a rover turns only while driving; 0 is

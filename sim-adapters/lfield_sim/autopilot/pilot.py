@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from random import Random
+
+from msgspec.structs import replace
 
 from lfield_sim.autopilot.body.estimator import Estimator
 from lfield_sim.autopilot.body.goals import ZERO, Descend, Fall, Goal, Keep, Lean, Orbit, Rest, Sink, Vector

@@ -5,8 +5,9 @@ Item numbers are those of the list: with ArduPilot item 0 is home and is not flo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Protocol
+
+from msgspec import Struct, field
 
 from lfield_sim.autopilot.body.goals import Vector
 
@@ -16,8 +17,7 @@ NO_ITEM = 65535
 NO_BREACH, CEILING, BOUNDARY = 0, 2, 3
 
 
-@dataclass(frozen=True, slots=True)
-class MissionItem:
+class MissionItem(Struct, frozen=True):
     """One item: its MAV_CMD, its seven values, and its position in the local frame (None: without one)."""
 
     command: int
@@ -25,8 +25,7 @@ class MissionItem:
     place: Vector | None = None
 
 
-@dataclass(slots=True)
-class Mission:
+class Mission(Struct):
     """The items, and their progress.
 
     `started` is the index of the started item, -1 for none; `arrived` is when its position was reached, in

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield_sim.autopilot.flavours import MavResult, SetpointControl
 
 OwnSpeed = Callable[[], float]
 
 
-@dataclass(slots=True)
-class CopterSpeedControl:
+class CopterSpeedControl(Struct):
     """ArduCopter: starting the position controller resets the speed to WPNAV_SPEED.
 
     A mode, a takeoff or a velocity setpoint ends it, so the next position starts it again. DO_CHANGE_SPEED is
@@ -56,8 +56,7 @@ class CopterSpeedControl:
         return MavResult.ACCEPTED
 
 
-@dataclass(slots=True)
-class RoverSpeedControl:
+class RoverSpeedControl(Struct):
     """ArduRover: accepts a speed only on the way to a position, and keeps it until the mode is entered again.
 
     WP_SPEED acts at once. Before the first position in GUIDED, DO_CHANGE_SPEED fails, and so does a
@@ -105,8 +104,7 @@ class RoverSpeedControl:
         return MavResult.ACCEPTED
 
 
-@dataclass(slots=True)
-class Px4SpeedControl:
+class Px4SpeedControl(Struct):
     """PX4: a goal's speed applies to this goal, DO_CHANGE_SPEED until -1, or arming.
 
     It accepts any number. MPC_XY_VEL_MAX caps all; position setpoints use that.

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from lfield_sim.autopilot.body.goals import (
     ZERO,
     Descend,
@@ -40,8 +42,7 @@ SLUGGISH = 1.5
 SINK = 2.5
 
 
-@dataclass(frozen=True, slots=True)
-class Response:
+class Response(Struct, frozen=True):
     """The actual speed for a commanded one: a factor, and an offset in m/s."""
 
     gain: float = 1.0
@@ -52,8 +53,7 @@ class Response:
         return speed * self.gain + self.offset if speed > 0.0 else 0.0
 
 
-@dataclass(slots=True)
-class Limits:
+class Limits(Struct):
     """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s, tilt in rad.
 
     `cruise` bounds the speed to a position, `top` all horizontal speeds; `braking` is its deceleration before
@@ -94,8 +94,7 @@ class Limits:
     learns: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class VelocityFence:
+class VelocityFence(Struct, frozen=True):
     """A horizontal circle with a radius in m that velocities do not leave."""
 
     north: float

@@ -10,8 +10,9 @@ angles in radians.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from random import Random
+
+from msgspec import Struct, field
 
 GRAVITY = 9.80665
 #: m/s at which the drag of a copter equals its weight.
@@ -28,8 +29,7 @@ Vector = tuple[float, float, float]
 CALM: Level = (0.0, 0.0)
 
 
-@dataclass(slots=True)
-class Wind:
+class Wind(Struct):
     """The wind at one vehicle: steady `speed` from `source`, clockwise from north, and up to `gusts` more.
 
     Gusts come at random by `rng`, each with the 1 - cos profile (MIL-F-8785C). `push` is its present

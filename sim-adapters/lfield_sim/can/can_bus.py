@@ -11,8 +11,9 @@ import heapq
 import itertools
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield_sim.faults import Fault, Faults, share
 
@@ -47,8 +48,7 @@ FAULTS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class CanFrame:
+class CanFrame(Struct, frozen=True):
     """A data, remote or error frame (ISO 11898-1).
 
     `dlc` is that of remote frames, `switch` the FD bit rate switch.
@@ -79,8 +79,7 @@ class CanFrame:
         return (head - 15) / bitrate + (8 * len(self.data) + 26) / fast
 
 
-@dataclass(slots=True, eq=False)
-class BusPort:
+class BusPort(Struct, eq=False):
     """A connection to the bus. `device` is its id for faults, '' for an adapter; `on_frame` gets frame and
     time.
 

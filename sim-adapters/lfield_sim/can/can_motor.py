@@ -6,7 +6,8 @@ SI units, at the output shaft; a reference has the units of its controller.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 #: Ambient temperature, and that of the fault `overheat`, in degrees Celsius.
 AMBIENT, OVERHEATED = 25.0, 130.0
@@ -16,8 +17,7 @@ RATED_WARMING, WARMING_TIME = 40.0, 120.0
 DRY = 0.005
 
 
-@dataclass(frozen=True, slots=True)
-class CanMotorData:
+class CanMotorData(Struct, frozen=True):
     """Data sheet of a motor; `load` is a constant torque against positive motion (a weight)."""
 
     inertia: float = 0.01
@@ -97,8 +97,7 @@ class CanMotor:
         self._temperature += (final_temperature - self._temperature) * dt / WARMING_TIME
 
 
-@dataclass(slots=True)
-class Trajectory:
+class Trajectory(Struct):
     """Position and speed of a trapezoidal reference: bounded acceleration, no overshoot."""
 
     position: float = 0.0

@@ -8,13 +8,13 @@ failed, until QUALIFYING good frames follow each other. CRCs are those of crcche
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 from typing import Literal
 
 from cantools.database.can import Message, Signal
 from crccheck.crc import Crc8Autosar, Crc8GsmA, Crc8SaeJ1850, Crc16Autosar
+from msgspec import Struct
 
 from lfield.errors import UsageError
 
@@ -49,8 +49,7 @@ def _little(number: int) -> bytes:
     return number.to_bytes(2, "little")
 
 
-@dataclass(slots=True)
-class Supervision:
+class Supervision(Struct):
     """One message: its protecting signals, and as a receiver the state of its communication.
 
     `period` is 0 without a deadline.

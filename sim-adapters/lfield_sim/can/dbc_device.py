@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cantools
 from cantools.database.can import Message, Signal
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.errors import BindingError, InputFileError, UsageError
 from lfield.text.input_files import error_reason
@@ -46,8 +47,7 @@ _ID = re.compile(
 SignalName = tuple[str, str]
 
 
-@dataclass(frozen=True, slots=True)
-class DbcData:
+class DbcData(Struct, frozen=True):
     """Pairs of signals; `lag` and `timeout` in seconds (0: commands do not expire). `supervised` are messages
     with a counter, a checksum or a deadline.
     """

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from string import hexdigits
 from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.driver.binding import DeviceBinding, OptionValue
 from lfield.errors import PluginError, UsageError
@@ -23,11 +25,10 @@ from lfield_sim.faults import Faults
 FUNCTIONS_OF_NODE = ",functions="
 #: Device types of DroneCAN nodes, and the function of each.
 _NODES = {"DroneCanBattery": "battery", "DroneCanEsc": "esc", "DroneCanServo": "servo"}
-_MOTOR = {field.name for field in fields(CanMotorData)} - {"brake"}
+_MOTOR = set(CanMotorData.__struct_fields__) - {"brake"}
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceSpec:
+class DeviceSpec(Struct, frozen=True):
     """`KIND:PLACE[:NAME][,KEY=VALUE...]`: a node id or a DBC file, and the name of its binding."""
 
     kind: str

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield_sim.autopilot.body.goals import Vector
 
@@ -18,8 +20,7 @@ ABOVE_HOME = frozenset({3, 6, 10, 11})
 FARTHEST = 1e6
 
 
-@dataclass(frozen=True, slots=True)
-class GeoOrigin:
+class GeoOrigin(Struct, frozen=True):
     """The origin of the local frame: degrees, and metres above mean sea level. Flat around it.
 
     `radii` are the radii of curvature along the meridian and across it, in metres.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.errors import UsageError
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
@@ -24,8 +26,7 @@ from lfield_sim.state_log import StateLog
 LOW = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class LinkSetup:
+class LinkSetup(Struct, frozen=True):
     """The vehicles of a link, and their settings: charge, mAh, limits (SI).
 
     `origin` is the place of power-on of all, None for the default; `stands` are positions relative to it by

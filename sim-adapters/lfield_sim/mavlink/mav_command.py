@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.flavours import MavResult
@@ -14,8 +15,7 @@ from lfield_sim.mavlink.geo import ABOVE_HOME, GeoOrigin, is_near
 NO_COORDINATE = 0x7FFFFFFF
 
 
-@dataclass(frozen=True, slots=True)
-class DelayedResult:
+class DelayedResult(Struct, frozen=True):
     """A result after some seconds; `progress`: IN_PROGRESS is sent meanwhile."""
 
     result: MavResult
@@ -27,8 +27,7 @@ class DelayedResult:
 CommandAnswer = tuple[MavResult | DelayedResult | None, list[Any]]
 
 
-@dataclass(frozen=True, slots=True)
-class MavCommand:
+class MavCommand(Struct, frozen=True):
     """A command's number and seven values.
 
     `frame` is a MAV_FRAME for COMMAND_INT, whose values 5 and 6 are in 1e-7 degrees. With COMMAND_LONG

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
+from msgspec import Struct
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
@@ -190,8 +190,7 @@ class MessageSender:
         return [self._late_acks.pop(command)[1] for command in due]
 
 
-@dataclass(slots=True)
-class _Stream:
+class _Stream(Struct):
     interval: float
     due: float
 

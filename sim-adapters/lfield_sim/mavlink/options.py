@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.errors import UsageError
 
@@ -34,8 +35,7 @@ HARDWARE = ("camera", "gimbal", "gripper", "winch")
 COMPONENTS = ("mavlink_camera", "mavlink_gimbal")
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleOption:
+class VehicleOption(Struct, frozen=True):
     """One vehicle of the link; `name` is that of its binding, or ''."""
 
     system: int
@@ -47,8 +47,7 @@ class VehicleOption:
         return f"{self.system}:{self.kind}:{self.flavour}" + (f":{self.name}" if self.name else "")
 
 
-@dataclass(frozen=True, slots=True)
-class Stand:
+class Stand(Struct, frozen=True):
     """The place of power-on of a vehicle: metres north, east and down of the common starting point.
 
     `heading` (rad, clockwise) is the direction of its own north, for a vehicle without satellites or compass.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import re
 import struct
 
 import pytest
 from can_local_drive import LocalDrive
 from coroutine_tests import on_bench
+from msgspec import structs
 
 from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
@@ -108,7 +108,7 @@ def drive(rig):
 def keep(b, index, value):
     """Set an object as its owner does: the drive keeps the value over a restart."""
     objects = b.drive.node.objects
-    objects.entries[index, 0] = dataclasses.replace(objects.entries[index, 0], default=value)
+    objects.entries[index, 0] = structs.replace(objects.entries[index, 0], default=value)
     objects.put(index, value)
 
 
@@ -141,7 +141,7 @@ def test_coasting_fault_reaction_is_noted(drive):
 async def test_values_sent_on_change_stay_valid_while_the_heartbeat_arrives(b, axis, /):
     """A drive at rest sends nothing new; its position is still valid."""
     await axis.execute("enable", [])
-    axis.protocol.pdo_configuration = dataclasses.replace(axis.protocol.pdo_configuration, by_changes=True)
+    axis.protocol.pdo_configuration = structs.replace(axis.protocol.pdo_configuration, by_changes=True)
     b.world.faults.apply(["lost_tpdo=true"])
     await asyncio.sleep(0.1)
     for _ in range(4):
@@ -155,7 +155,7 @@ async def test_sdo_answer_overtaken_by_process_data_is_ignored(b, axis, /):
     """The drive reads a value, changes it, sends the change, and only then is its answer on the bus."""
     await axis.execute("enable", [])
     protocol = axis.protocol
-    protocol.pdo_configuration = dataclasses.replace(protocol.pdo_configuration, by_changes=True)
+    protocol.pdo_configuration = structs.replace(protocol.pdo_configuration, by_changes=True)
     b.world.faults.apply(["lost_tpdo=true"])
     await asyncio.sleep(0.1)
     objects, say = b.drive.node.objects, b.bus.say

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import math
-from dataclasses import replace
 
 import pytest
 from coroutine_tests import on_bench
+from msgspec.structs import replace
 from takeoff import up
 
 from lfield.errors import DeviceError

@@ -6,8 +6,9 @@ and always reports a position. Pure: `step` advances time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from lfield_sim.autopilot.body.goals import ZERO, Vector
 
@@ -42,8 +43,7 @@ GLITCH = 10.0
 COMPASS_SHOWS = 1.5
 
 
-@dataclass(slots=True)
-class Estimator:
+class Estimator(Struct):
     """The estimator of one vehicle: duration without GNSS, and position error."""
 
     rule: BlindRule

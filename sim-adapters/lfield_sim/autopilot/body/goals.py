@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Rest:
+class Rest(Struct, frozen=True):
     """Goal: stay here; the rest of the speed decays as `Limits.eases` says, with 0 it brakes."""
 
     eases: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Reach:
+class Reach(Struct, frozen=True):
     """Goal: move to a position and stay there."""
 
     place: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(Struct, frozen=True):
     """Goal: follow a position setpoint by proportional control without shaping (PX4).
 
     `velocity` is added to the proportional part.
@@ -33,15 +30,13 @@ class Track:
     velocity: Vector = ZERO
 
 
-@dataclass(frozen=True, slots=True)
-class Keep:
+class Keep(Struct, frozen=True):
     """Goal: keep a velocity."""
 
     velocity: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Orbit:
+class Orbit(Struct, frozen=True):
     """Goal: orbit a position at a distance in m with a speed in m/s, clockwise when positive."""
 
     centre: Vector
@@ -49,8 +44,7 @@ class Orbit:
     speed: float
 
 
-@dataclass(frozen=True, slots=True)
-class Lean:
+class Lean(Struct, frozen=True):
     """Goal: keep an acceleration north and east in m/s2, and a speed downwards."""
 
     north: float
@@ -58,31 +52,26 @@ class Lean:
     down: float
 
 
-@dataclass(frozen=True, slots=True)
-class Descend:
+class Descend(Struct, frozen=True):
     """Goal: straight down to the ground."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rise:
+class Rise(Struct, frozen=True):
     """Goal: straight up to a height, no faster than a speed in m/s."""
 
     down: float
     speed: float
 
 
-@dataclass(frozen=True, slots=True)
-class Sink:
+class Sink(Struct, frozen=True):
     """Goal: descend as with the throttle down, to a hard landing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fall:
+class Fall(Struct, frozen=True):
     """Goal of a copter without motors."""
 
 
-@dataclass(frozen=True, slots=True)
-class Roll:
+class Roll(Struct, frozen=True):
     """Goal of a rover without drive: it rolls out."""
 
 

@@ -6,7 +6,8 @@ The states and refusals are those of the camera protocol, https://mavlink.io/en/
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield_sim.autopilot.flavours import MavResult
 
@@ -18,8 +19,7 @@ EXPOSURE, IMAGE_SIZE, VIDEO_RATE = 0.3, 8.0, 6.0
 CARD, SHORTEST = 32_000.0, 0.5
 
 
-@dataclass(slots=True)
-class CameraModel:
+class CameraModel(Struct):
     """A camera. `shot` has the outcome of each picture that the caller has not collected yet."""
 
     card: float = CARD

@@ -6,7 +6,8 @@ Control is that of the gimbal protocol, https://mavlink.io/en/services/gimbal_v2
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.flavours import MavResult
@@ -22,8 +23,7 @@ NO_SENDER: Sender = (0, 0)
 UNCHANGED, MYSELF, RELEASED = -1, -2, -3
 
 
-@dataclass(slots=True)
-class GimbalModel:
+class GimbalModel(Struct):
     """A gimbal: follows angles, rates, or a place (`target`, in the local frame).
 
     With `is_locked` the goal of its yaw is from north, not from the nose.

@@ -6,7 +6,8 @@ SI units, radians; charges in mAh.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.equipment.camera import CameraModel
@@ -24,8 +25,7 @@ HARDWARE = frozenset({"gripper", "winch", "camera", "gimbal"})
 MAVLINK_CAMERA, MAVLINK_GIMBAL = "mavlink_camera", "mavlink_gimbal"
 
 
-@dataclass(slots=True)
-class Battery:
+class Battery(Struct):
     """Four cells that drain by the vehicle's activity, and sag under load.
 
     `charge` is from 0 to 1, `capacity` in mAh, `current` in amperes.
@@ -51,8 +51,7 @@ class Battery:
         self.charge = max(0.0, self.charge - self.current * dt / (self.capacity * 3.6))
 
 
-@dataclass(slots=True)
-class Payload:
+class Payload(Struct):
     """The payload; `fitted` are its parts of HARDWARE, MAVLINK_CAMERA and MAVLINK_GIMBAL.
 
     Servos are in microseconds by number from 1, `line` is the length paid out.

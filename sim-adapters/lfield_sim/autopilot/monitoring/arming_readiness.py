@@ -6,7 +6,7 @@ data (`flavours.StartupTiming`), from the traces `a-cold-start` of the three.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.pilot import Pilot
@@ -15,8 +15,7 @@ from lfield_sim.autopilot.pilot import Pilot
 WARNED = 30.0
 
 
-@dataclass(frozen=True, slots=True)
-class ArmingRefusal:
+class ArmingRefusal(Struct, frozen=True):
     """A refusal to arm a vehicle.
 
     `reasons` are sent in one text each; None is a refusal without a text.

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from lfield_sim.autopilot.body.estimator import BlindRule
 from lfield_sim.autopilot.flavours import (

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 Key = tuple[int, int]
 
@@ -38,8 +39,7 @@ class SdoAbort(Exception):
         self.code = code
 
 
-@dataclass(frozen=True, slots=True)
-class ObjectEntry:
+class ObjectEntry(Struct, frozen=True):
     """One object: type, access (ro, rw, wo), reset value, range of writes, PDO or not."""
 
     type: str

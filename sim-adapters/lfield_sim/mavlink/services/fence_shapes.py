@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.plans import BOUNDARY, NO_BREACH
@@ -18,8 +19,7 @@ from lfield_sim.mavlink.services.plan_items import CIRCLE_IN, CIRCLES, POLYGON_I
 Point = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class FencePolygon:
+class FencePolygon(Struct, frozen=True):
     """At least three corners, the last joined to the first; it may be concave."""
 
     corners: tuple[Point, ...]
@@ -39,8 +39,7 @@ class FencePolygon:
         return (*self.corners[1:], self.corners[0])
 
 
-@dataclass(frozen=True, slots=True)
-class FenceCircle:
+class FenceCircle(Struct, frozen=True):
     """A centre and a radius in metres."""
 
     centre: Point
@@ -55,8 +54,7 @@ class FenceCircle:
 FenceShape = FencePolygon | FenceCircle
 
 
-@dataclass(slots=True)
-class UploadedFence:
+class UploadedFence(Struct):
     """All shapes of a vehicle's fence; without any, everywhere is inside."""
 
     shapes: list[FenceShape] = field(default_factory=list)

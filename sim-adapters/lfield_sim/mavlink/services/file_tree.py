@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
+
+from msgspec import Struct
 
 #: Bytes of one file, entries of the tree, characters of a path.
 MAX_FILE, MAX_ENTRIES, MAX_PATH = 1 << 20, 500, 200
@@ -38,8 +39,7 @@ class FileTreeError(Exception):
         self.error, self.number = error, number
 
 
-@dataclass(frozen=True, slots=True)
-class GeneratedFile:
+class GeneratedFile(Struct, frozen=True):
     """A file that is generated when it is read, as ArduPilot's @PARAM/param.pck.
 
     `reported_size` is the size reported before that. `checks`: its checksum matches the bytes that were read;

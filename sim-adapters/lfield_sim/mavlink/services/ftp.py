@@ -10,8 +10,10 @@ import struct
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 from enum import IntEnum
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield_sim.mavlink.services.file_tree import FileTree, FileTreeError, FtpError
 
@@ -48,8 +50,7 @@ class FtpOpcode(IntEnum):
     BURST_READ = 15
 
 
-@dataclass(frozen=True, slots=True)
-class FtpPacket:
+class FtpPacket(Struct, frozen=True):
     """One request or reply. `request_opcode` is that of the answered request, `size` the length of the data
     or of the requested data.
     """
@@ -95,16 +96,14 @@ class FtpPacket:
         return replace(self.ack(data), opcode=NAK)
 
 
-@dataclass(slots=True)
-class _Session:
+class _Session(Struct):
     """An open file: its content when it was opened, or the place to write to."""
 
     path: str
     content: bytes | None = None
 
 
-@dataclass(slots=True)
-class _Burst:
+class _Burst(Struct):
     """The answer to a burst read: pieces of the file in sequence, until its end or a pause."""
 
     request: FtpPacket
@@ -122,8 +121,7 @@ class _Burst:
         return replace(reply, burst_over=1) if piece and self.sent == BURST_LENGTH else reply
 
 
-@dataclass(frozen=True, slots=True)
-class FtpStyle:
+class FtpStyle(Struct, frozen=True):
     """File service of an autopilot.
 
     own_sessions     the autopilot assigns session numbers, else the client does
@@ -175,8 +173,7 @@ def _silence(_: str) -> None:
     pass
 
 
-@dataclass(slots=True)
-class FtpServer:
+class FtpServer(Struct):
     """The files of one vehicle; `say` sends a text."""
 
     tree: FileTree

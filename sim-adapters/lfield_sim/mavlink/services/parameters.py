@@ -17,12 +17,12 @@ import struct
 import zlib
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from msgspec import Struct
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
@@ -58,8 +58,7 @@ class ParameterType(IntEnum):
         return -(1 << bits), (1 << bits) - 1
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterRow:
+class ParameterRow(Struct, frozen=True):
     """The type of a parameter, and its default value."""
 
     type: ParameterType

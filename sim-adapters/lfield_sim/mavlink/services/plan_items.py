@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from msgspec import Struct
 from pymavlink.dialects.v20 import all as dialect
 
 
@@ -88,8 +88,7 @@ _PARAMS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PlanItem:
+class PlanItem(Struct, frozen=True):
     """One item: `values` are param1 to param4, `x` and `y` 1e-7 degrees, `z` metres in its frame."""
 
     command: int

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any
 
+from msgspec import Struct, field
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.mavlink.services.plan_items import (
@@ -33,8 +34,7 @@ HAIR, MAX_PEERS = 1e-6, 16
 Peer = tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class PlanStyle:
+class PlanStyle(Struct, frozen=True):
     """An autopilot's variant of the protocol.
 
     `home_first`: item 0 of a mission is home, instead of the uploaded one, also before the first upload.
@@ -95,8 +95,7 @@ PX4 = PlanStyle(
 )
 
 
-@dataclass(slots=True)
-class _Upload:
+class _Upload(Struct):
     """A running upload: its sender, and the time of the last message."""
 
     peer: Peer

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.mavlink.services.plan_items import PlanItem, PlanResult, PlanType
