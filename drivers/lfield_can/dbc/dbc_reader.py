@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import re
 
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 
 from lfield.driver import Diagnostics, Source, Span
 from lfield_can.dbc import findings
@@ -80,7 +79,7 @@ class _Draft(Struct):
         for at, signal in enumerate(self.signals):
             selector = self.long_names.get(signal.multiplexer_signal or "", signal.multiplexer_signal)
             name = self.long_names.get(signal.name, signal.name)
-            self.signals[at] = replace(signal, name=name, multiplexer_signal=selector)
+            self.signals[at] = structs.replace(signal, name=name, multiplexer_signal=selector)
 
     def drop(self, at: int, reason: str) -> None:
         """Omits a signal."""
@@ -241,7 +240,7 @@ class _Reader:
         if low <= highest and high >= lowest:
             return signal
         self._found.add(findings.NO_VALUES.at(span, signal=signal.name, low=f"{low:g}", high=f"{high:g}"))
-        return replace(signal, minimum=None, maximum=None)
+        return structs.replace(signal, minimum=None, maximum=None)
 
     def _drop_unselected(self, draft: _Draft) -> None:
         """Omits signals whose multiplexer is missing."""
@@ -266,7 +265,7 @@ class _Reader:
         multiplexers = [s.name for s in draft.signals if s.is_multiplexer and not s.multiplexer_ids]
         name = multiplexers[0] if multiplexers else "that selects it"
         draft.signals = [
-            replace(signal, multiplexer_signal=name)
+            structs.replace(signal, multiplexer_signal=name)
             if signal.multiplexer_ids and signal.multiplexer_signal is None
             else signal
             for signal in draft.signals
@@ -370,7 +369,7 @@ class _Reader:
         positions = [at for at, signal in enumerate(draft.signals) if signal.name == name] if draft else []
         for at in positions:
             assert draft is not None
-            draft.signals[at] = replace(draft.signals[at], **values)
+            draft.signals[at] = structs.replace(draft.signals[at], **values)
         if not positions and not (draft and name in draft.unusable):
             subject = f"signal {name} of {draft.name}" if draft else f"a message with the id {id}"
             span = Span(self._source, statement.at - len(statement.keyword), statement.at)

@@ -48,12 +48,10 @@ class Pilot:
     weak_at              the time since which a motor is too weak, minus infinity once that has been reported
     sinks_at             when a landing starts to descend: after a failsafe an ArduCopter hovers first
     on_its_way           of PX4's rover: the state that it reports as flying
-    was_landed           whether the last report was "landed"
     intended             the commanded mode, which a failsafe may have replaced
     resumes              the mode that PX4 goes back to after a landing
     station_at           when a packet of a ground station arrived last
     perform              executes the mission commands that have no position
-    rng                  the RNG of GNSS errors
     ailing, calibrating  the reason why a calibration prevents arming, or ''; whether a calibration runs
     sent_goal            of a rover, the last goal that it has reported as reached
     ignores_arm          after a motor test while armed it accepts arming and stays disarmed, until a restart
