@@ -11,10 +11,11 @@ import sys
 import tty
 
 import pytest
+from hex_log import parse_hex_line
 
 from lfield.clock import ManualClock
 from lfield.driver import DeviceError, WireLog
-from lfield.driver.recording.wire_formats import HEX_HEADER, parse_hex_line
+from lfield.driver.recording.wire_formats import HEX_HEADER
 from lfield.driver.serial import Lines, SerialLine, SerialPort, parse_serial_endpoint
 from lfield.recording.ring_writer import RingWriter
 

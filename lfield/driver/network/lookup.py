@@ -56,11 +56,6 @@ class Lookup:
         self.host, self.port, self._kind = unbracketed(host), port, kind
         self._pending: asyncio.Future[Any] | None = None
 
-    @property
-    def is_literal(self) -> bool:
-        """Whether the host is an address already."""
-        return _is_address(self.host)
-
     async def addresses(self, within: float) -> list[tuple[int, Address]]:
         """Families and addresses, in order of preference. Raises OSError, and TimeoutError after
         `within` s.

@@ -74,17 +74,3 @@ def channel_name(channel: str) -> str:
 def hex_line(time: float, data: bytes, *, is_sent: bool) -> bytes:
     """Some bytes of a serial line."""
     return f"{time:.6f} {'>' if is_sent else '<'} {data.hex(' ').upper()}\n".encode()
-
-
-def parse_hex_line(line: str) -> tuple[float, bool, bytes] | None:
-    """The time, whether the bytes were sent, and the bytes of a line; None for the header and for an
-    incomplete line.
-    """
-    time, _, rest = line.partition(" ")
-    direction, _, data = rest.partition(" ")
-    if direction not in ("<", ">") or not line.endswith("\n"):
-        return None
-    try:
-        return float(time), direction == ">", bytes.fromhex(data)
-    except ValueError:
-        return None

@@ -295,8 +295,6 @@ async def test_unresolved_name_has_one_lookup_at_a_time(monkeypatch):
         with pytest.raises(TimeoutError, match="not resolved within"):
             await lookup.addresses(0.01)
     assert len(requests) == 1
-    assert not lookup.is_literal
-    assert Lookup("[fe80::1%eth0]", 1, socket.SOCK_STREAM).is_literal
 
 
 def test_failed_attempts_are_logged_once_per_interval():
