@@ -148,6 +148,8 @@ def failure_sentence(name: str, error: BaseException) -> str:
     """
     if isinstance(error, DeviceError):
         return f"{name}: {error.reason}"
+    if isinstance(error, PluginError):
+        return f"{name}: {error}"
     if isinstance(error, LfieldError) or not isinstance(error, Exception):
         raise error
     return f"{name}: the driver failed: {error!r}"

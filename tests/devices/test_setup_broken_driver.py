@@ -17,6 +17,7 @@ from lfield.guard.endpoint_lock import EndpointLock
 
 DRIVER = """
 from lfield.driver import Device, Driver, Plugin
+from lfield.errors import PluginError
 
 PLUGIN = Plugin("clumsy", "clumsy", "clumsy:Clumsy", "x")
 
@@ -24,6 +25,8 @@ class Thing(Device):
     async def find(self):
         if self.binding.field == "absent":
             raise self.error("it does not answer")
+        if self.binding.field == "unusable":
+            raise PluginError("a library is missing")
         return "a thing"
 
     async def settings(self):
@@ -78,6 +81,13 @@ async def test_failure_to_close_does_not_hide_the_problem(plugins: Plugins, tmp_
         await names_of(plugins, lines, binding("absent", "one"), binding("t", "two"))
     assert error.value.problems == ("a.absent: it does not answer",)
     assert [("clumsy" in line, "RuntimeError('stumbled')" in line) for line in lines] == [(True, True)] * 2
+
+
+async def test_an_error_of_the_plugin_is_a_problem_of_its_device(plugins: Plugins) -> None:
+    devices = binding("unusable", "one"), binding("absent", "two")
+    with pytest.raises(DevicesError) as error:
+        await names_of(plugins, [], *devices)
+    assert error.value.problems == ("a.unusable: a library is missing", "a.absent: it does not answer")
 
 
 async def test_failure_to_close_releases_the_endpoint(plugins: Plugins) -> None:

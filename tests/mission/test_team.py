@@ -23,7 +23,7 @@ def test_hosts_are_found_by_name() -> None:
 def test_hosts_have_addresses() -> None:
     members = team("//Arm:a@olive\n//Arm:b@ficus:9000")
     assert members.addresses_by_host == {"olive": "olive:8181", "ficus": "ficus:9000"}
-    moved = members.at({"olive": "10.0.0.1:1", "nobody": "10.0.0.2:2"})
+    moved = members.at({"olive": "10.0.0.1:1", "absent": "10.0.0.2:2"})
     assert moved.addresses == ("10.0.0.1:1", "ficus:9000")
     assert moved.deployment == members.deployment
 

@@ -24,7 +24,7 @@ def test_all_connections_are_kept_below_the_limit():
     assert [clients.admit(n, "here") for n in range(3)] == [None] * 3
     clients.release(1)
     clients.release(1)
-    clients.release("nobody")
+    clients.release("absent")
     assert clients.admit(3, "here") is None
     assert clients.admit(4, "here") in (0, 2, 3)
 

@@ -163,7 +163,7 @@ def test_trusted_answers_come_before_those_of_other_users(doors, tmp_path):
 def test_answers_are_reported_while_another_host_is_still_asked(doors, monkeypatch):
     monkeypatch.setattr(client, "REPORT_AFTER", 0.05)
     target = run_in(doors, 2)
-    unreachable = dict.fromkeys(["h1"], f"unix:{doors}/nobody.sock")
+    unreachable = dict.fromkeys(["h1"], f"unix:{doors}/closed.sock")
     target = TargetTeam(target.runs, {**target.addresses, **unreachable})
     turns = ask_in_turn([target], Request(SNAPSHOT.message, EventBatch, 0.5))
     first = next(turns)

@@ -43,7 +43,7 @@ agents: {three: {payload: 5.0}}
 BINDINGS = "agents: {two: {attributes: {payload: 3 kg, tools: [sling]}}}"
 TEAM = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Winch:drum@c\n//Foreman:foreman@a\n"
 #: A coordinator that has reserved nothing.
-NOBODY = SimpleNamespace(id="foreman")
+CALLER = SimpleNamespace(id="foreman")
 CONDITIONS = [
     None,
     "payload >= 2.5",
@@ -94,12 +94,12 @@ async def test_a_query_from_outside_equals_that_of_the_program(team, /, conditio
         )
         query = compile_query(condition or "true", registry.attributes)
         outside = matcher.find("Lift", query)
-        inside = running.host.core.services.offers(NOBODY, "Lift", condition or "true")
+        inside = running.host.core.services.offers(CALLER, "Lift", condition or "true")
         found = [to_vm_offer(offer, numbers, outside.count) for offer in outside.offers]
         assert [facts_of(offer) for offer in found] == [facts_of(offer) for offer in inside]
         assert [offer.score for offer in found] == [offer.score for offer in inside]
         reason = render_refusals(matcher.explain("Lift", query.condition))
-        assert reason in running.host.core.services.explain(NOBODY, "Lift", condition or "true")
+        assert reason in running.host.core.services.explain(CALLER, "Lift", condition or "true")
     assert inside or condition == "battery > 0.5 && tools == sling"
 
 
@@ -152,9 +152,9 @@ async def test_places_and_reservations_give_the_same_answer_inside_and_outside(t
     assert [(o.agent, o.score) for o in offers] == [(o.agent, o.score) for o in inside]
     assert [offer.agent for offer in offers] == [agent for agent in nearest if agent != "three"]
     assert reason.startswith("three: reserved by foreman for ")
-    assert [offer.agent for offer in world.offers(NOBODY, "Lift", None)] == nearest
+    assert [offer.agent for offer in world.offers(CALLER, "Lift", None)] == nearest
     teams = world.teams(SimpleNamespace(id="other"), "Lift", None, 3)
-    assert (teams, len(world.teams(NOBODY, "Lift", None, 3))) == ([], 1)
+    assert (teams, len(world.teams(CALLER, "Lift", None, 3))) == ([], 1)
 
 
 def facts_of(offer):

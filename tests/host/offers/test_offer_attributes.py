@@ -57,7 +57,7 @@ BINDINGS = (
 )
 TEAM = "//Hoist:near@alpha\n//Foreman:foreman@bravo\n//Hoist:far@bravo\n"
 #: A coordinator that has reserved nothing.
-NOBODY = SimpleNamespace(id="foreman")
+CALLER = SimpleNamespace(id="foreman")
 IDLE = "coordinator Foreman { init(string[] arg) { Lift[] who = findLift(); sleep(1000.0); } }"
 
 
@@ -93,7 +93,7 @@ async def start_hoists(team, program=IDLE, capabilities=CAPABILITIES):
 
 def facts_of(running, agent, condition=None):
     """The attributes of an agent's offer, as the coordinator sees it: texts or numbers, and sources."""
-    found = running.host.core.services.offers(NOBODY, "Lift", condition)
+    found = running.host.core.services.offers(CALLER, "Lift", condition)
     offer = next(offer for offer in found if offer.agent == agent)
     values = zip(offer.names, offer.texts, offer.numbers, offer.sources, strict=True)
     return {name: (number if text is None else text, source) for name, text, number, source in values}
@@ -124,7 +124,7 @@ async def test_a_query_portal_provides_an_attribute(team, /):
         assert near["level"] == (1.5, "measured")
         assert near["east"] == (2.0, "measured")
         assert "slowness" not in near
-        reason = host.host.core.services.explain(NOBODY, "Lift", "slowness > 0.0")
+        reason = host.host.core.services.explain(CALLER, "Lift", "slowness > 0.0")
         assert "near: near has not reported slow()" in reason
 
 
@@ -143,8 +143,8 @@ coordinator Foreman {
 """
 
     alpha, _, _ = await start_hoists(team, program)
-    await team.until(lambda: "rope" in alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0"))
-    reason = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
+    await team.until(lambda: "rope" in alpha.host.core.services.explain(CALLER, "Lift", "level > 0.0"))
+    reason = alpha.host.core.services.explain(CALLER, "Lift", "level > 0.0")
     assert "near: level() throws DeviceException: the rope is torn" in reason
     await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
 

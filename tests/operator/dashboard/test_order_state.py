@@ -12,7 +12,7 @@ from lfield.wire.events import DeviceLatched, EmergencyStopChanged, PauseChanged
 from lfield.wire.observer_messages import EmergencyStopResult
 from lfield.wire.order_messages import OrderKind
 
-NOBODY = NoListener("alpha:8181")
+NO_LISTENER = NoListener("alpha:8181")
 BOTH = ("alpha", "beta")
 
 
@@ -46,8 +46,8 @@ class Desk:
 
 def test_a_stop_without_any_answer_names_each_host_until_it_has_stopped() -> None:
     desk = Desk()
-    desk.order("stop", alpha=NOBODY, beta=NOBODY)
-    assert desk.seen.stop.unreached == {"alpha": str(NOBODY), "beta": str(NOBODY)}
+    desk.order("stop", alpha=NO_LISTENER, beta=NO_LISTENER)
+    assert desk.seen.stop.unreached == {"alpha": str(NO_LISTENER), "beta": str(NO_LISTENER)}
     assert not desk.seen.stop.is_active
     desk.now += 3600.0
     assert desk.last.age == 3600.0
@@ -65,14 +65,14 @@ def test_a_stop_without_any_answer_names_each_host_until_it_has_stopped() -> Non
 @pytest.mark.parametrize("order", ["pause", "resume", "lift"])
 def test_an_order_without_any_answer_names_its_unreached_hosts(order: OrderKind) -> None:
     desk = Desk()
-    desk.order(order, alpha=NOBODY, beta=NOBODY)
+    desk.order(order, alpha=NO_LISTENER, beta=NO_LISTENER)
     assert (desk.last.order, set(desk.last.unreached)) == (order, {"alpha", "beta"})
 
 
 def test_hosts_without_an_answer_are_listed_as_asked() -> None:
     desk = Desk()
     desk.tell("beta")
-    number = desk.order("stop", alpha=NOBODY)
+    number = desk.order("stop", alpha=NO_LISTENER)
     assert (desk.last.pending, set(desk.seen.stop.unreached)) == (("beta",), {"alpha"})
     desk.picture.on_answer(number, "beta", EmergencyStopResult({"two.fc": ""}))
     desk.tell("beta", EmergencyStopChanged("anna", "x"))
@@ -93,7 +93,7 @@ def test_a_stop_is_incomplete_until_each_host_has_answered() -> None:
     assert (desk.seen.stop.pending, desk.seen.stop.is_complete) == (("beta",), False)
     desk.picture.on_unlinked("beta", "nothing was heard of it for 6 s")
     assert (desk.seen.stop.pending, desk.seen.stop.is_complete) == (("beta",), False)
-    desk.picture.on_answer(number, "beta", NOBODY)
+    desk.picture.on_answer(number, "beta", NO_LISTENER)
     assert (desk.seen.stop.pending, set(desk.seen.stop.unreached)) == ((), {"beta"})
     assert not desk.seen.stop.is_complete
 
@@ -121,15 +121,15 @@ def test_stop_events_without_an_answer_do_not_count_as_an_answer() -> None:
 
 def test_a_host_with_an_unknown_address_counts_as_unreached() -> None:
     desk = Desk()
-    desk.picture.on_answer(desk.picture.on_order("stop", ["alpha"], desk.now), "alpha", NOBODY)
+    desk.picture.on_answer(desk.picture.on_order("stop", ["alpha"], desk.now), "alpha", NO_LISTENER)
     assert "its address is unknown" in desk.seen.stop.unreached["beta"]
 
 
 def test_an_answer_to_a_replaced_order_changes_nothing() -> None:
     desk = Desk()
     old = desk.order("stop")
-    desk.order("lift", alpha=NOBODY)
-    desk.picture.on_answer(old, "beta", NOBODY)
+    desk.order("lift", alpha=NO_LISTENER)
+    desk.picture.on_answer(old, "beta", NO_LISTENER)
     assert [(order.order, order.pending) for order in desk.seen.orders] == [("lift", ("beta",))]
 
 
@@ -144,12 +144,12 @@ def test_a_lift_ends_the_stop_and_keeps_the_last_state_of_a_dead_host() -> None:
         )
     desk.picture.on_unlinked("beta", "the connection was lost")
     assert desk.seen.stop.confirmed == ("one.fc",)
-    desk.order("lift", alpha=EmergencyStopResult({}), beta=NOBODY)
+    desk.order("lift", alpha=EmergencyStopResult({}), beta=NO_LISTENER)
     desk.tell("alpha", EmergencyStopChanged("anna", "", True))
     stop = desk.seen.stop
     assert (stop.is_active, stop.confirmed, stop.unreached) == (False, (), {})
     assert stop.stopped_before == {"beta": ("two.fc",)}
-    assert (desk.last.done, desk.last.unreached) == (("alpha",), {"beta": str(NOBODY)})
+    assert (desk.last.done, desk.last.unreached) == (("alpha",), {"beta": str(NO_LISTENER)})
 
 
 def test_unconfirmed_devices_of_a_dead_host_are_shown_until_the_lift() -> None:
@@ -166,8 +166,10 @@ def test_unconfirmed_devices_of_a_dead_host_are_shown_until_the_lift() -> None:
 
 def test_a_stop_and_a_pause_are_shown_at_once() -> None:
     desk = Desk()
-    desk.order("pause", alpha=EmergencyStopResult({"one.fc": "its port is gone"}, "no disk"), beta=NOBODY)
-    desk.order("stop", alpha=NOBODY, beta=NOBODY)
+    desk.order(
+        "pause", alpha=EmergencyStopResult({"one.fc": "its port is gone"}, "no disk"), beta=NO_LISTENER
+    )
+    desk.order("stop", alpha=NO_LISTENER, beta=NO_LISTENER)
     assert [order.order for order in desk.seen.orders] == ["pause", "stop"]
     assert desk.seen.orders[0].unconfirmed == {"one.fc": "its port is gone"}
     assert desk.seen.orders[0].warnings == {"alpha": "no disk"}

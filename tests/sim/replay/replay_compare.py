@@ -181,7 +181,7 @@ def _states(real: Trace, played: Played) -> Iterator[Difference]:
     ):
         real_values, simulated_values = (_changes(trace, kind, value) for trace in (real, played.trace))
         if bool(real_values) != bool(simulated_values):
-            yield Difference(f"{field}: {'is not told' if real_values else 'is told'}")
+            yield Difference(f"{field}: {'is not reported' if real_values else 'is reported'}")
         yield from _apart(real, field, real_values, simulated_values)
 
 

@@ -66,11 +66,11 @@ def test_a_snapshot_sets_the_picture() -> None:
 def test_the_last_state_of_a_dead_host_ages() -> None:
     scenario = Scenario()
     scenario.tell("alpha", snapshot=snapshot("alpha", device("one.fc", battery=0.5)))
-    scenario.tell("alpha", HostStopping("it was told to end"))
+    scenario.tell("alpha", HostStopping("SIGTERM received"))
     scenario.picture.on_unlinked("alpha", "no program listens at alpha:8181")
     scenario.now += 60.0
     alpha, vehicle = scenario.seen.hosts["alpha"], scenario.seen.vehicles["one"]
-    assert (alpha.linked, alpha.age, alpha.end_reason) == (False, 60.0, "it was told to end")
+    assert (alpha.linked, alpha.age, alpha.end_reason) == (False, 60.0, "SIGTERM received")
     assert alpha.problem == "no program listens at alpha:8181"
     assert (vehicle.fresh, vehicle.battery, vehicle.telemetry_age) == (False, 0.5, 60.0)
 
